@@ -8,10 +8,7 @@ from typing import Any
 
 import pytest
 
-__all__ = ["PAGES", "draw_bare_plots"]
-
-PAGES = ("document", "color_document", "pvs_document", "theme")
-"""Modules of the room report in which plots are drawn; others import `draw_png` from theme when they need it."""
+__all__ = ["draw_bare_plots"]
 
 
 @contextmanager
@@ -34,6 +31,5 @@ def draw_bare_plots() -> Iterator[None]:
         return draw_png(draw_marks, colors, size)
 
     with pytest.MonkeyPatch.context() as patch:
-        for page in PAGES:  # theme, too: others import from it when they draw
-            patch.setattr(f"gsvis.report.{page}.draw_png", drawn)
+        patch.setattr(theme, "draw_png", drawn)
         yield

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.bare_plots import PAGES, draw_bare_plots
+from tests.bare_plots import draw_bare_plots
 from tests.longest import LONGEST
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -78,8 +78,7 @@ def blank() -> bytes:
 @pytest.fixture
 def blank_plots(monkeypatch: pytest.MonkeyPatch, blank: bytes) -> None:
     """Leave the plots of reports blank, for tests that look at none: drawing takes most of a small report's time."""
-    for page in PAGES:
-        monkeypatch.setattr(f"gsvis.report.{page}.draw_png", lambda *arguments: blank)
+    monkeypatch.setattr("gsvis.report.theme.draw_png", lambda *arguments: blank)
 
 
 def pytest_xdist_auto_num_workers() -> int:

@@ -136,7 +136,8 @@ def _write_report(
 ) -> dict[str, Any]:
     """Simulate all visits and write the report; return its document."""
     from gsvis.abr import AbrConfig
-    from gsvis.report.session_document import Simulation, write_session_report
+    from gsvis.report.session_document import Simulation
+    from gsvis.report.session_report import write_session_report
     from gsvis.simulate import Link, ViewingConfig
     from gsvis.simulate.visits import simulate_visits
 

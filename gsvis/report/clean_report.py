@@ -7,31 +7,18 @@ from __future__ import annotations
 
 import os
 from dataclasses import asdict, dataclass, field
-from html import escape
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis import _check
 from gsvis.edit import CLASSES, HIDDEN, KEPT, Cleaning, class_of
-from gsvis.files.atomic import atomic_folder
 from gsvis.io.report_cameras import describe_cameras
 from gsvis.progress import Progress, silent
 from gsvis.render import rasterize
-from gsvis.report.files import LAST, write_files
-from gsvis.report.html import (
-    Figure,
-    describe_judged,
-    describe_run,
-    figure,
-    fill_template,
-    table,
-    tiles,
-    where_figure,
-    where_section,
-)
-from gsvis.report.pictures import png_of
+from gsvis.report.files import write_report_folder
+from gsvis.report.html import Figure, describe_judged, figure, report_page, table, tiles, where_figure, where_part
+from gsvis.report.pictures import picture_figures
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
@@ -140,20 +127,19 @@ def write_clean_report(
     if where is not None:
         figures["where"] = where
     document = clean_document(found, subject)
-    html = fill_template(
-        "clean_page.html",
-        title=escape(subject.title),
-        version=escape(subject.version),
+    html = report_page(
+        f"Cleaning of {subject.title}",
+        document,
         lead=_lead(document),
         tiles=_tiles(document),
-        classes=_classes(document),
-        inside=_inside(figures),
-        outside=_outside(figures),
-        where=where_section(where),
-        how=describe_run(document),
+        sections={
+            "What can go": _classes(document),
+            "Where people stand": where_part(where),
+            "From within, where it changes most": _inside(figures),
+            "From outside": _outside(figures),
+        },
     )
-    with atomic_folder(_check.path("folder", folder), last=LAST) as partial:
-        write_files(partial, figures.values(), document, html, subject.seconds)
+    write_report_folder(folder, html, document, figures.values(), subject.seconds)
     return document
 
 
@@ -174,14 +160,14 @@ def _draw(found: Cleaning, g: Gaussians, progress: Progress) -> dict[str, Figure
             "classes": rasterize(g, camera, backend="cpu", colors=colors).images[0],
             "after": rasterize(after, camera, backend="cpu").images[0],
         }
-        figures |= {f"{name}_{k}": Figure(f"{name}_{k}.png", png_of(image)) for name, image in drawn.items()}
+        figures |= picture_figures({f"{name}_{k}": image for name, image in drawn.items()})
         progress("pictures", k + 1, count + 1)
     cameras = _around(g, found.navigable.up)
     ghost = Gaussians(
         g.means, g.quats, g.scales, np.where(found.found == KEPT, _GHOST * g.opacities, g.opacities), g.sh0
     )
-    for k, image in enumerate(rasterize(ghost, cameras, backend="cpu", colors=colors).images):
-        figures[f"outside_{k}"] = Figure(f"outside_{k}.png", png_of(image))
+    images = rasterize(ghost, cameras, backend="cpu", colors=colors).images
+    figures |= picture_figures({f"outside_{k}": image for k, image in enumerate(images)})
     progress("pictures", count + 1, count + 1)
     return figures
 

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis import _check
-from gsvis.files.atomic import atomic_folder
 from gsvis.prepare.color_quality import ColorQuality
 from gsvis.prepare.fitted_colors import FittedColors
 from gsvis.progress import Progress, silent
@@ -19,18 +17,16 @@ from gsvis.report.color_page import DIFFERENCE, color_page
 from gsvis.report.color_plots import draw_active, draw_active_psnr, draw_bytes, draw_first_terms, draw_term_counts
 from gsvis.report.color_spheres import draw_spheres, fit_spheres
 from gsvis.report.document import Subject
-from gsvis.report.files import LAST, write_files
+from gsvis.report.files import write_report_folder
 from gsvis.report.html import Figure
-from gsvis.report.pictures import png_of
-from gsvis.report.theme import DARK, LIGHT, draw_png
+from gsvis.report.pictures import picture_figures
+from gsvis.report.theme import Plot, draw_plots
 
 __all__ = ["color_document", "write_color_report"]
 
 _ROLES = ("worst", "median")
-_PICTURES = {
-    *(f"{name}.png" for name in ("term_counts", "first_terms", "active", "active_psnr", "bytes", "spheres")),
-    *(f"{role}_{name}.png" for role in _ROLES for name in ("sh", "srbf", "base", "difference")),
-}
+_PICTURES = [f"{name}.png" for name in ("term_counts", "first_terms", "active", "active_psnr", "bytes", "spheres")]
+_PICTURES += [f"{role}_{name}.png" for role in _ROLES for name in ("sh", "srbf", "base", "difference")]
 
 
 def color_document(fitted: FittedColors, subject: Subject) -> dict[str, Any]:
@@ -79,11 +75,8 @@ def write_color_report(
     """
     document = color_document(fitted, subject)
     figures = _figures(fitted, progress)
-    folder = _check.path("folder", folder)
-    with atomic_folder(folder, last=LAST) as partial_folder:
-        write_files(partial_folder, figures.values(), document, color_page(fitted, document, figures), subject.seconds)
-    for stale in _PICTURES - {figure.file for figure in figures.values()}:
-        (folder / stale).unlink(missing_ok=True)  # belongs to an earlier report
+    html = color_page(fitted, document, figures)
+    write_report_folder(folder, html, document, figures.values(), subject.seconds, old=_PICTURES)
     return document
 
 
@@ -106,27 +99,19 @@ def _figures(fitted: FittedColors, progress: Progress) -> dict[str, Figure]:
     """Return all plots and pictures by name, plots for light and for dark pages."""
     quality = _quality(fitted)
     epsilon = fitted.epsilon
-    plots: dict[str, tuple[Any, tuple[float, float]]] = {"bytes": (partial(draw_bytes, fitted=fitted), (5.2, 2.4))}
+    plots: dict[str, Plot] = {"bytes": (partial(draw_bytes, fitted=fitted), (5.2, 2.4))}
     if fitted.colors.num_terms:
         plots["term_counts"] = (partial(draw_term_counts, fitted=fitted), (5.2, 3.3))
         plots["first_terms"] = (partial(draw_first_terms, quality=quality), (5.2, 3.6))
         if len(quality.epsilons):
             plots["active"] = (partial(draw_active, quality=quality, epsilon=epsilon), (5.2, 3.3))
             plots["active_psnr"] = (partial(draw_active_psnr, quality=quality, epsilon=epsilon), (5.2, 3.3))
-    steps = len(plots) + 2
-    progress("writing", 0, steps)
-    if fitted.colors.num_terms:
         spheres = fit_spheres(fitted)
-        rows = len(spheres.ids)
-        plots["spheres"] = (partial(draw_spheres, spheres=spheres), (7.6, 0.25 + 1.08 * rows))
-    figures = {}
-    for done, (name, (draw, size)) in enumerate(plots.items(), 1):
-        figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
-        progress("writing", min(done, steps - 1), steps)
+        plots["spheres"] = (partial(draw_spheres, spheres=spheres), (7.6, 0.25 + 1.08 * len(spheres.ids)))
+    figures = draw_plots(plots, progress)
     for role, view in _views(quality).items():
-        for name, image in _pictures(fitted, quality, view).items():
-            figures[f"{role}_{name}"] = Figure(f"{role}_{name}.png", png_of(image))
-    progress("writing", steps, steps)
+        pictures = _pictures(fitted, quality, view)
+        figures |= picture_figures({f"{role}_{name}": image for name, image in pictures.items()})
     return figures
 
 

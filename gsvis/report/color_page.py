@@ -8,7 +8,7 @@ from typing import Any
 from gsvis.prepare.fitted_colors import FittedColors
 from gsvis.report.color_plots import ACTIVE_TARGET, PAPER_EPSILONS
 from gsvis.report.color_spheres import COUNTS
-from gsvis.report.html import Figure, describe_run, figure, fill_template, plain, table, tiles
+from gsvis.report.html import Figure, figure, plain, report_page, table, tiles
 
 __all__ = ["DIFFERENCE", "color_page"]
 
@@ -26,18 +26,18 @@ def color_page(fitted: FittedColors, document: dict[str, Any], figures: dict[str
         document: The content of `report.json`.
         figures: Plots and pictures by name; missing ones are omitted from the page.
     """
-    return fill_template(
-        "color_page.html",
-        title=escape(document["scene"]["name"]),
-        version=escape(document["gsvis"]),
+    return report_page(
+        f"Colors of {document['scene']['name']}",
+        document,
         lead=_lead(document),
         tiles=_tiles(document),
-        likeness=_likeness(document, figures),
-        terms=_terms(document, figures),
-        active=_active(document, figures),
-        bytes=_bytes(document, figures),
-        spheres=_spheres(fitted, figures),
-        how=describe_run(document),
+        sections={
+            "Does it look the same?": _likeness(document, figures),
+            "Who has how many terms": _terms(document, figures),
+            "Which terms a view needs": _active(document, figures),
+            "What it costs to send": _bytes(document, figures),
+            "What terms can say": _spheres(fitted, figures),
+        },
     )
 
 
@@ -205,8 +205,4 @@ def _spheres(fitted: FittedColors, figures: dict[str, Figure]) -> str:
         f" by SH, by the base color, and by {counts} terms ({escape(fitted.colors.variant)}). Below each is its mean"
         " squared error over all directions. The terms were fitted for this picture, over the whole sphere."
     )
-    return (
-        "<section><h2>What terms can say</h2>"
-        + figure(figures["spheres"], "Spheres drawn with more and more terms", caption)
-        + "</section>"
-    )
+    return figure(figures["spheres"], "Spheres drawn with more and more terms", caption)

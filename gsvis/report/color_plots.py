@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gsvis.prepare.color_quality import ColorQuality
 from gsvis.prepare.fitted_colors import FittedColors
-from gsvis.report.theme import Theme
+from gsvis.report.theme import PERCENT, Theme, draw_legend, draw_level
 
 __all__ = [
     "ACTIVE_TARGET",
@@ -27,8 +27,6 @@ PAPER_EPSILONS = (0.01, 0.05)
 """Range of the paper's epsilons (SRBF-Gaussian, section 6.2)."""
 ACTIVE_TARGET = 45.0
 """Target PSNR in dB of active terms against all terms."""
-
-_PERCENT = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
 
 
 def draw_term_counts(axes: Axes, theme: Theme, fitted: FittedColors) -> None:
@@ -54,10 +52,10 @@ def draw_term_counts(axes: Axes, theme: Theme, fitted: FittedColors) -> None:
     axes.set_xlim(-0.6, len(at) - 0.4)
     axes.grid(visible=False, axis="x")
     axes.xaxis.set_major_locator(MaxNLocator(12, integer=True, min_n_ticks=1))
-    axes.yaxis.set_major_formatter(_PERCENT)
+    axes.yaxis.set_major_formatter(PERCENT)
     axes.set_xlabel("terms of a Gaussian, over all its functions")
     axes.set_ylabel("share")
-    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.2, columnspacing=1.4)
+    draw_legend(axes, handle=1.2)
 
 
 def draw_first_terms(axes: Axes, theme: Theme, quality: ColorQuality) -> None:
@@ -91,7 +89,7 @@ def draw_first_terms(axes: Axes, theme: Theme, quality: ColorQuality) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: labels[min(max(round(value), 0), len(labels) - 1)]))
     axes.set_xlabel("first terms of each Gaussian; below, what that is on average")
     axes.set_ylabel("PSNR against SH, dB")
-    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.8, columnspacing=1.4)
+    draw_legend(axes)
 
 
 def draw_active(axes: Axes, theme: Theme, quality: ColorQuality, epsilon: float | None) -> None:
@@ -99,7 +97,7 @@ def draw_active(axes: Axes, theme: Theme, quality: ColorQuality, epsilon: float 
     shares = quality.active_shares
     _by_epsilon(axes, theme, quality.epsilons, shares.mean(axis=1), (shares.min(axis=1), shares.max(axis=1)))
     axes.set_ylim(0.0, max(1.05 * float(shares.max()), 1e-3))
-    axes.yaxis.set_major_formatter(_PERCENT)
+    axes.yaxis.set_major_formatter(PERCENT)
     axes.set_ylabel("active terms of all terms")
     _mark_epsilon(axes, theme, epsilon)
 
@@ -108,21 +106,10 @@ def draw_active_psnr(axes: Axes, theme: Theme, quality: ColorQuality, epsilon: f
     """Draw PSNR of active terms against all terms, by epsilon."""
     found = quality.active_psnr
     _by_epsilon(axes, theme, quality.epsilons, found.mean(axis=1), (found.min(axis=1), found.max(axis=1)))
-    axes.axhline(ACTIVE_TARGET, color=theme.traced, linewidth=1.6, dashes=(5, 2))
+    draw_level(axes, theme, ACTIVE_TARGET, f"target {ACTIVE_TARGET:g} dB", theme.traced, above=False, left=True)
     low = min(float(found.min()), ACTIVE_TARGET)
     high = max(float(found.max()), ACTIVE_TARGET)
     axes.set_ylim(max(0.0, low - 0.1 * (high - low)), high + 0.08 * (high - low))
-    axes.annotate(
-        f"target {ACTIVE_TARGET:g} dB",
-        (0.0, ACTIVE_TARGET),
-        xycoords=("axes fraction", "data"),
-        xytext=(3, -4),
-        textcoords="offset points",
-        va="top",
-        color=theme.traced,
-        fontsize=9,
-        fontweight="bold",
-    )
     axes.set_ylabel("PSNR against all terms, dB")
     _mark_epsilon(axes, theme, epsilon)
 
@@ -167,4 +154,4 @@ def _mark_epsilon(axes: Axes, theme: Theme, epsilon: float | None) -> None:
     axes.fill_between([], [], [], color=theme.published, alpha=0.2, linewidth=0, label="the paper's epsilons")
     if epsilon is not None:
         axes.axvline(epsilon, color=theme.ink, linewidth=1.4, dashes=(4, 2), label=f"here {epsilon:.3g}")
-    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.6, columnspacing=1.4)
+    draw_legend(axes, handle=1.6)

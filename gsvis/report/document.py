@@ -9,26 +9,23 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from gsvis import _check
-from gsvis.files.atomic import atomic_folder
 from gsvis.io.report_cameras import describe_cameras
 from gsvis.progress import Progress, silent
 from gsvis.raycast.analysis import FACE_LIMITS, PAPER, Analysis
-from gsvis.report.files import LAST, write_files
+from gsvis.report.files import write_report_folder
 from gsvis.report.html import Figure, where_figure
 from gsvis.report.maps import Ground, draw_directions, draw_seen_map
 from gsvis.report.page import page
-from gsvis.report.pictures import ViewPicture, png_of
+from gsvis.report.pictures import ViewPicture, picture_figures
 from gsvis.report.plots import draw_cdf, draw_settling, draw_visible
-from gsvis.report.theme import DARK, LIGHT, draw_png
+from gsvis.report.theme import Plot, draw_plots
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["Subject", "report_document", "write_report"]
 
-
-_PICTURES = {"where.png", "visible.png", "cdf.png", "settling.png", "map_directions.png"} | {
-    f"{kind}_{role}.png" for kind in ("view", "map") for role in ("most", "median", "least")
-}
+_ROLES = ("most", "median", "least")
+_PICTURES = ["where.png", "visible.png", "cdf.png", "settling.png", "map_directions.png"]
+_PICTURES += [f"{kind}_{role}.png" for kind in ("view", "map") for role in _ROLES]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,11 +109,8 @@ def write_report(
     """
     figures = _figures(analysis, subject, pictures, progress)
     document = report_document(analysis, subject)
-    folder = _check.path("folder", folder)
-    with atomic_folder(folder, last=LAST) as partial_folder:
-        write_files(partial_folder, figures.values(), document, page(analysis, document, figures), subject.seconds)
-    for stale in _PICTURES - {figure.file for figure in figures.values()}:
-        (folder / stale).unlink(missing_ok=True)  # belongs to an earlier report
+    html = page(analysis, document, figures)
+    write_report_folder(folder, html, document, figures.values(), subject.seconds, old=_PICTURES)
     return document
 
 
@@ -127,7 +121,7 @@ def _figures(
     cameras = analysis.cameras
     comparable = not subject.differs
     ground = Ground.from_scene(subject.gaussians, subject.up, cameras.viewpoints)
-    plots: dict[str, tuple[Any, tuple[float, float]]] = {
+    plots: dict[str, Plot] = {
         "visible": (partial(draw_visible, analysis=analysis, published=comparable), (5.2, 2.9)),
         "cdf": (partial(draw_cdf, analysis=analysis, published=comparable), (5.2, 4.0)),
     }
@@ -141,9 +135,5 @@ def _figures(
         plots["map_directions"] = (partial(draw_directions, ground=ground, analysis=analysis), ground.size)
     where = where_figure(subject.place)
     figures: dict[str, Figure] = {} if where is None else {"where": where}
-    figures |= {f"view_{p.role}": Figure(f"view_{p.role}.png", png_of(p.image)) for p in pictures}
-    progress("writing", 0, len(plots))
-    for done, (name, (draw, size)) in enumerate(plots.items(), 1):
-        figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
-        progress("writing", done, len(plots))
-    return figures
+    views = picture_figures({f"view_{picture.role}": picture.image for picture in pictures})
+    return {**figures, **views, **draw_plots(plots, progress)}

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -225,7 +225,7 @@ def is_own(path: Path) -> bool:
         return False
 
 
-def eight_bit(image: NDArray[np.float32]) -> NDArray[np.uint8]:
+def eight_bit(image: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
     """Return values (..., 3), clipped to [0, 1], as 0 to 255."""
     return np.asarray(np.rint(np.clip(image, 0.0, 1.0) * 255.0), np.uint8)
 

@@ -6,7 +6,7 @@ Text from outside is escaped here or by the caller, as each function states.
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
@@ -19,14 +19,13 @@ from gsvis._text import as_json, as_text
 __all__ = [
     "Figure",
     "describe_judged",
-    "describe_run",
     "figure",
-    "fill_template",
     "plain",
+    "report_page",
     "table",
     "tiles",
     "where_figure",
-    "where_section",
+    "where_part",
 ]
 
 
@@ -45,18 +44,30 @@ class Figure:
     dark: bytes | None = None
 
 
-def fill_template(template: str, **parts: str) -> str:
-    """Fill the parts and the common style into a page template of this package; parts are HTML.
-
-    Characters that no page may hold are escaped, since names of files are among the parts.
+def report_page(
+    title: str, document: Mapping[str, Any], *, lead: str, tiles: str, sections: Mapping[str, str], how: str = ""
+) -> str:
+    """Return the page of a report: a title, the main finding, its largest figures, sections, and how it was made.
 
     Args:
-        template: File name beside this module.
-        parts: Parts by their names in the template.
+        title: Title; text.
+        document: The content of `report.json`.
+        lead: The finding; HTML.
+        tiles: Items of the list of large figures; HTML.
+        sections: Content of each section by its heading; HTML. Empty ones are left out.
+        how: More on how the report was made; HTML.
     """
     here = files("gsvis.report")
-    style = (here / "page.css").read_text(encoding="utf-8")
-    return as_text(Template((here / template).read_text(encoding="utf-8")).substitute(parts, style=style))
+    parts = {**sections, "How this was made": _describe_run(document) + how}
+    page = Template((here / "page.html").read_text(encoding="utf-8")).substitute(
+        style=(here / "page.css").read_text(encoding="utf-8"),
+        title=escape(title),
+        version=escape(document["gsvis"]),
+        lead=lead,
+        tiles=tiles,
+        sections="\n".join(f"<section><h2>{name}</h2>{part}</section>" for name, part in parts.items() if part),
+    )
+    return as_text(page)  # names of files may hold characters that no page may hold
 
 
 def figure(figure: Figure | None, alternative: str, caption: str) -> str:
@@ -82,14 +93,12 @@ def where_figure(png: bytes | None) -> Figure | None:
     return None if png is None else Figure("where.png", png)
 
 
-def where_section(shown: Figure | None) -> str:
-    """Return the section of a page on where people stand; empty without a picture."""
+def where_part(shown: Figure | None) -> str:
+    """Return the picture of where people stand with its caption; empty without a picture."""
     if shown is None:
         return ""
     caption = "What was taken for what, the first view, and a plan with some of the eyes."
-    return (
-        f"<section><h2>Where people stand</h2>{figure(shown, 'The first view and a plan with eyes', caption)}</section>"
-    )
+    return figure(shown, "The first view and a plan with eyes", caption)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -104,8 +113,8 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def tiles(found: Sequence[tuple[str, str, str]]) -> str:
     """Return the list of large figures: value, meaning, comparison; all text."""
     return "".join(
-        f"<li><strong>{escape(value)}</strong><span>{escape(label)}</span><small>{escape(beside)}</small></li>"
-        for value, label, beside in found
+        f"<li><strong>{escape(value)}</strong><span>{escape(label)}</span><small>{escape(comparison)}</small></li>"
+        for value, label, comparison in found
     )
 
 
@@ -121,7 +130,7 @@ def describe_judged(judged: dict[str, Any] | None) -> str:
     return f"{warning}<p>Checked by eyes that navigable space did not choose: {escape(judged['line'])}.</p>"
 
 
-def describe_run(document: dict[str, Any]) -> str:
+def _describe_run(document: Mapping[str, Any]) -> str:
     """Return how a report was made: its command and parameters."""
     shown = [(name, plain(value)) for name, value in document["parameters"].items()]
     return (

@@ -20,6 +20,7 @@ from gsvis import _check
 from gsvis.pvs.cells import CellGrid
 from gsvis.raycast import directions
 from gsvis.raycast.analysis import Analysis
+from gsvis.report.plan import axes_from_above
 from gsvis.report.theme import Theme
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -57,10 +58,7 @@ class Ground:
             eyes: (C, 3) viewpoints that the map must cover, even outside the scene's robust bounds.
         """
         axis = _check.unit_vectors("up", np.reshape(np.asarray(up, np.float64), (1, -1)))[0]
-        level = np.eye(3)[np.abs(axis).argsort(kind="stable")[0]]  # an axis of the scene, so that maps are straight
-        right = level - (level @ axis) * axis
-        right /= np.linalg.norm(right)
-        onward = np.cross(axis, right)
+        right, onward = axes_from_above(axis)
         frame = np.stack([right, onward])
         places = g.means.astype(np.float64) @ frame.T
         low, high = np.quantile(places, [0.01, 0.99], axis=0)

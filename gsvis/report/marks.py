@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from gsvis.report.frames import eight_bit
 from gsvis.report.plan import Plan, nice_length
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.navigable import NavigableSpace
@@ -138,7 +139,7 @@ def font(size: int) -> Font:
 
 def picture(image: NDArray[np.floating]) -> Image.Image:
     """Return an image (H, W, 3) in [0, 1] as a picture; values outside are clipped."""
-    return Image.fromarray(np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8))
+    return Image.fromarray(eight_bit(image))
 
 
 def blend(color: Color, share: float) -> Color:

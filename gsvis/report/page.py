@@ -7,8 +7,7 @@ from typing import Any
 
 from gsvis.raycast.analysis import PAPER, Analysis, DirectionCdf
 from gsvis.raycast.second_tracer import describe_check
-from gsvis.report.html import Figure, describe_judged, describe_run, figure, fill_template, table, where_section
-from gsvis.report.html import tiles as listed
+from gsvis.report.html import Figure, describe_judged, figure, report_page, table, tiles, where_part
 
 __all__ = ["page"]
 
@@ -29,18 +28,19 @@ def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure
         figures: Plots, maps and pictures by name.
     """
     differs = document["paper"]["differs"] or ""
-    return fill_template(
-        "page.html",
-        title=escape(document["scene"]["name"]),
-        version=escape(document["gsvis"]),
+    return report_page(
+        f"Visibility of {document['scene']['name']}",
+        document,
         lead=_lead(analysis, document),
         tiles=_tiles(analysis, differs),
-        visible=_visible(analysis, figures, differs, document["judged"]),
-        views=_views(analysis, figures),
-        directions=_directions(analysis, figures, differs),
-        where=where_section(figures.get("where")),
-        scene=_scene(analysis, document["scene"]),
-        how=describe_run(document) + _AGAIN,
+        sections={
+            "What a view needs": _visible(analysis, figures, differs, document["judged"]),
+            "Three views": _views(analysis, figures),
+            "From which directions Gaussians are seen": _directions(analysis, figures, differs),
+            "Where people stand": where_part(figures.get("where")),
+            "The scene": _scene(analysis, document["scene"]),
+        },
+        how=_AGAIN,
     )
 
 
@@ -62,7 +62,7 @@ def _rays(analysis: Analysis) -> str:
 def _tiles(analysis: Analysis, differs: str) -> str:
     fractions = analysis.visible_fractions
     beside = "" if differs else f"paper: {PAPER['mean_visible']:.2%}"
-    tiles = [
+    shown = [
         (f"{fractions.mean():.1%}", "visible in a view, on average", beside),
         (f"{analysis.gathered.seen / analysis.gaussians:.1%}", "seen by at least one of the cameras", ""),
     ]
@@ -77,8 +77,8 @@ def _tiles(analysis: Analysis, differs: str) -> str:
             text = f"seen from less than {limit} of the 80 directions, by {len(analysis.cameras):,} cameras"
         else:
             continue  # the number would be one of cameras
-        tiles.append((f"{value:.1%}", text, "; ".join(more)))
-    return listed(tiles)
+        shown.append((f"{value:.1%}", text, "; ".join(more)))
+    return tiles(shown)
 
 
 def _explain_paper(differs: str) -> str:

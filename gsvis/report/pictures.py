@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +14,10 @@ from gsvis import _check
 from gsvis.progress import Progress, silent
 from gsvis.raycast import Tracer, ray_image, visible_in
 from gsvis.raycast.analysis import Analysis
+from gsvis.report.frames import eight_bit
+from gsvis.report.html import Figure
 
-__all__ = ["ViewPicture", "picture_views", "png_of"]
+__all__ = ["ViewPicture", "picture_figures", "picture_views"]
 
 _LEVEL = 6  # of compression; the highest saves 5% of the bytes of a rendered picture and takes eight times as long
 
@@ -66,8 +69,12 @@ def picture_views(
     return pictures
 
 
-def png_of(image: NDArray[np.float32]) -> bytes:
-    """Return the PNG bytes of an image (H, W, 3); values outside [0, 1] are clipped."""
+def picture_figures(images: Mapping[str, NDArray[np.float32]]) -> dict[str, Figure]:
+    """Return images (H, W, 3) as figures by name; values outside [0, 1] are clipped."""
+    return {name: Figure(f"{name}.png", _png(image)) for name, image in images.items()}
+
+
+def _png(image: NDArray[np.float32]) -> bytes:
     out = io.BytesIO()
-    Image.fromarray(np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)).save(out, "PNG", compress_level=_LEVEL)
+    Image.fromarray(eight_bit(image)).save(out, "PNG", compress_level=_LEVEL)
     return out.getvalue()

@@ -17,7 +17,7 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["Plan", "free_points", "nice_length"]
+__all__ = ["Plan", "axes_from_above", "free_points", "nice_length"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -74,10 +74,7 @@ class Plan:
             cut_by: The space at whose eyes the plan is cut open; `space` by default.
         """
         up = space.up
-        level = np.eye(3)[np.abs(up).argsort(kind="stable")[0]]  # an axis of the scene, so that plans are straight
-        right = level - (level @ up) * up
-        right /= np.linalg.norm(right)
-        onward = np.cross(up, right)
+        right, onward = axes_from_above(up)
         frame = np.stack([right, onward])
         eyes = free_points(space)
         points = np.concatenate([eyes, np.reshape(np.asarray(more, np.float64), (-1, 3))]) @ frame.T
@@ -139,6 +136,20 @@ class Plan:
             if len(name) == 2
         )
         return f"Seen from above{cut}{axes}"
+
+
+def axes_from_above(up: F64) -> tuple[F64, F64]:
+    """Return unit vectors to the right and to the top of a page that shows a scene from above.
+
+    The first is an axis of the scene, or the nearest to one, so that rooms lie straight on the page.
+
+    Args:
+        up: (3,) unit up axis.
+    """
+    level = np.eye(3)[np.abs(up).argsort(kind="stable")[0]]
+    right = level - (level @ up) * up
+    right /= np.linalg.norm(right)
+    return right, np.cross(up, right)
 
 
 def _cut(space: NavigableSpace, up: F64) -> float:

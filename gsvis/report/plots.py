@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
 from gsvis.raycast.analysis import PAPER, Analysis, DirectionCdf
-from gsvis.report.theme import Theme
+from gsvis.report.theme import PERCENT, Theme, draw_legend, draw_level
 
 __all__ = ["draw_cdf", "draw_settling", "draw_visible"]
 
@@ -36,22 +36,9 @@ def draw_visible(axes: Axes, theme: Theme, analysis: Analysis, *, published: boo
     if published:
         lines.append((paper, f"paper's mean {paper:.2%}", theme.published, paper >= mean or apart))
     for value, text, color, above in lines:
-        axes.axhline(value, color=color, linewidth=1.6, dashes=(5, 2))
-        axes.annotate(
-            text,
-            (1.0, value),
-            xycoords=("axes fraction", "data"),
-            xytext=(-2, 3 if above else -4),
-            textcoords="offset points",
-            ha="right",
-            va="bottom" if above else "top",
-            color=color,
-            fontweight="bold",
-            fontsize=9,
-            bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
-        )
+        draw_level(axes, theme, value, text, color, above=above)
     axes.grid(visible=False, axis="x")
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100.0 * value:g}%"))
+    axes.yaxis.set_major_formatter(PERCENT)
     axes.set_xlabel("cameras, sorted")
     axes.set_ylabel("visible share of all Gaussians")
 
@@ -78,7 +65,7 @@ def draw_cdf(axes: Axes, theme: Theme, analysis: Analysis, *, published: bool) -
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.set_xlabel("share of the 80 directions")
     axes.set_ylabel("Gaussians seen from less")
-    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.8, columnspacing=1.4)
+    draw_legend(axes)
 
 
 def _paper_points(axes: Axes, theme: Theme) -> None:
@@ -134,4 +121,4 @@ def draw_settling(axes: Axes, theme: Theme, analysis: Analysis) -> None:
     axes.set_ylim(0.0, 1.04)
     axes.set_xlabel("number of cameras, taken in random order")
     axes.set_ylabel("Gaussians seen from less")
-    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.8, columnspacing=1.4)
+    draw_legend(axes)

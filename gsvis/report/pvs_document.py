@@ -7,19 +7,18 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import FuncFormatter, PercentFormatter
+from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from gsvis.files.atomic import atomic_folder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.quality import Quality
 from gsvis.pvs.store import VisibilityStore
 from gsvis.render import rasterize
 from gsvis.report.document import Subject
-from gsvis.report.files import LAST, write_files
+from gsvis.report.files import write_report_folder
 from gsvis.report.html import Figure, where_figure
 from gsvis.report.maps import CellMap, Ground, draw_cells
-from gsvis.report.pictures import png_of
+from gsvis.report.pictures import picture_figures
 from gsvis.report.pvs_page import pvs_page
 from gsvis.report.pvs_plots import (
     LEAST_MISSING,
@@ -29,7 +28,7 @@ from gsvis.report.pvs_plots import (
     draw_trades,
     draw_viewpoints,
 )
-from gsvis.report.theme import DARK, LIGHT, draw_png
+from gsvis.report.theme import PERCENT, Plot, draw_plots
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["pvs_document", "write_pvs_report"]
@@ -138,8 +137,7 @@ def write_pvs_report(
     """
     document = pvs_document(quality, store, subject)
     figures = _figures(quality, store, subject, document["store"]["ever_visible_share"], progress)
-    with atomic_folder(folder, last=LAST) as partial_folder:
-        write_files(partial_folder, figures.values(), document, pvs_page(quality, document, figures), subject.seconds)
+    write_report_folder(folder, pvs_page(quality, document, figures), document, figures.values(), subject.seconds)
     return document
 
 
@@ -156,13 +154,12 @@ def _figures(
     least = float(shares.min())
     most = float(shares.max())
     seen = CellMap(grid, shares, "visible share", least, max(most, least + 1e-4), ticks=PercentFormatter(1.0))
-    percent = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
     bounds = min(1e-4, float(np.nanmin(missing))), max(1e-2, float(np.nanmax(missing)))
-    lost = CellMap(grid, missing, "light missed", *bounds, logarithmic=True, ticks=percent)
+    lost = CellMap(grid, missing, "light missed", *bounds, logarithmic=True, ticks=PERCENT)
     size = ground.size_with_bar
     certified = store.certificates
     shared = store.viewpoints - certified.inner
-    plots: dict[str, tuple[Any, tuple[float, float]]] = {
+    plots: dict[str, Plot] = {
         "map_visible": (partial(draw_cells, ground=ground, cells=seen), size),
         "visible": (partial(draw_shares, shares=shares, ever=ever), (5.2, 3.1)),
         "viewpoints": (partial(draw_viewpoints, shared=shared, inner=certified.inner), (5.2, 3.3)),
@@ -171,17 +168,10 @@ def _figures(
         "map_missing": (partial(draw_cells, ground=ground, cells=lost), (size[0], size[1] + 0.3)),
         "classes": (partial(draw_trades, quality=quality), (5.2, 3.7)),
     }
-    steps = len(plots) + 1
-    progress("writing", 0, steps)
     where = where_figure(subject.place)
     figures: dict[str, Figure] = {} if where is None else {"where": where}
-    for done, (name, (draw, size)) in enumerate(plots.items(), 1):
-        figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
-        progress("writing", done, steps)
-    for name, image in _worst_image(quality, store, subject.gaussians).items():
-        figures[name] = Figure(f"{name}.png", png_of(image))
-    progress("writing", steps, steps)
-    return figures
+    worst = picture_figures(_worst_image(quality, store, subject.gaussians))
+    return {**figures, **worst, **draw_plots(plots, progress)}
 
 
 def _worst_image(quality: Quality, store: VisibilityStore, g: Gaussians) -> dict[str, NDArray[np.float32]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gsvis.pvs.quality import PSNR_CAP, TARGETS, Quality
 from gsvis.pvs.quality import Figure as Measure
-from gsvis.report.html import Figure, describe_judged, describe_run, figure, fill_template, table, tiles, where_section
+from gsvis.report.html import Figure, describe_judged, figure, report_page, table, tiles, where_part
 
 __all__ = [
     "describe_bounds",
@@ -29,24 +29,24 @@ _ON_DENSE_FACES = ("size_over_dense", "dense_recall")
 def pvs_page(quality: Quality, document: dict[str, Any], figures: dict[str, Figure]) -> str:
     """Return the whole page.
 
-    quality: The measurements.
-        quality: What was measured.
+    Args:
+        quality: The measurements.
         document: The content of `report.json`.
         figures: Plots and maps by name.
     """
-    return fill_template(
-        "pvs_page.html",
-        title=escape(document["scene"]["name"]),
-        version=escape(document["gsvis"]),
+    return report_page(
+        f"Visible sets of {document['scene']['name']}",
+        document,
         lead=_lead(quality, document),
         tiles=_tiles(quality, document["store"]),
-        cells=_cells(document["store"], figures),
-        quality=_quality(quality, document, figures),
-        classes=_classes(quality, figures),
-        worst=_worst(quality, figures),
-        where=where_section(figures.get("where")),
-        store=_store(document["store"]),
-        how=describe_run(document),
+        sections={
+            "What cells see": _cells(document["store"], figures),
+            "Do the sets hold what is seen?": _quality(quality, document, figures),
+            "What faint Gaussians are worth": _classes(quality, figures),
+            "The worst cells": _worst(quality, figures),
+            "Where people stand": where_part(figures.get("where")),
+            "The store": _store(document["store"]),
+        },
     )
 
 

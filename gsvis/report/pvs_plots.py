@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis.pvs.quality import TARGETS, Quality
-from gsvis.report.theme import Theme
+from gsvis.report.theme import PERCENT, Theme, draw_legend, draw_level
 
 __all__ = ["LEAST_MISSING", "draw_bounds", "draw_missing", "draw_shares", "draw_trades", "draw_viewpoints"]
 
@@ -16,8 +16,6 @@ F64 = NDArray[np.float64]
 
 LEAST_MISSING = 1e-6
 """Shares of light below this are drawn at this value, because the axis is logarithmic."""
-
-_PERCENT = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
 
 
 def draw_shares(axes: Axes, theme: Theme, shares: ArrayLike, ever: float) -> None:
@@ -34,9 +32,9 @@ def draw_shares(axes: Axes, theme: Theme, shares: ArrayLike, ever: float) -> Non
     mean = float(values.mean())
     top = max(ever, float(values.max()))
     axes.set_ylim(0.0, 1.16 * top)
-    _level(axes, theme, ever, f"seen from any cell {ever:.1%}", theme.published)
-    _level(axes, theme, mean, f"mean of the cells {mean:.1%}", theme.traced, above=ever - mean > 0.12 * top)
-    axes.yaxis.set_major_formatter(_PERCENT)
+    draw_level(axes, theme, ever, f"seen from any cell {ever:.1%}", theme.published)
+    draw_level(axes, theme, mean, f"mean of the cells {mean:.1%}", theme.traced, above=ever - mean > 0.12 * top)
+    axes.yaxis.set_major_formatter(PERCENT)
     axes.set_xlabel("cells, sorted")
     axes.set_ylabel("visible share of the scene")
 
@@ -60,7 +58,7 @@ def draw_viewpoints(axes: Axes, theme: Theme, shared: NDArray[np.int64], inner: 
     axes.bar(at, alone, width=0.72, color=theme.gathered, label="shared ones alone")
     if (inner > 0).any():
         axes.bar(at, more, bottom=alone, width=0.72, color=theme.traced, label="with inner ones")
-        axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.2, columnspacing=1.4)
+        draw_legend(axes, handle=1.2)
     axes.set_xlim(low - 0.7, high + 0.7)
     axes.grid(visible=False, axis="x")
     for axis in (axes.xaxis, axes.yaxis):
@@ -83,8 +81,8 @@ def draw_bounds(axes: Axes, theme: Theme, bound: F64, limit: float | None) -> No
     top = max(float(values.max(initial=0.0)), limit or 0.0, 1e-9)
     axes.set_ylim(0.0, 1.2 * top)
     if limit is not None:
-        _level(axes, theme, limit, f"limit of building {limit:.2%}", theme.published)
-    axes.yaxis.set_major_formatter(_PERCENT)
+        draw_level(axes, theme, limit, f"limit of building {limit:.2%}", theme.published)
+    axes.yaxis.set_major_formatter(PERCENT)
     axes.set_xlabel("certified cells, sorted")
     axes.set_ylabel("light missed, at most")
 
@@ -101,18 +99,18 @@ def draw_missing(axes: Axes, theme: Theme, quality: Quality) -> None:
     axes.plot(x, means[order], **own, markeredgecolor=theme.paper, label="mean of a cell", zorder=4)  # type: ignore[arg-type]
     axes.set_yscale("log")
     good, worst = (1.0 - value for value in TARGETS["weighted_recall"] if value is not None)
-    _level(axes, theme, worst, f"target of the worst cell {worst:.1%}", theme.published)
-    _level(axes, theme, good, f"target of the mean {good:.1%}", theme.traced)
+    draw_level(axes, theme, worst, f"target of the worst cell {worst:.1%}", theme.published)
+    draw_level(axes, theme, good, f"target of the mean {good:.1%}", theme.traced)
     axes.set_ylim(0.5 * min(float(missing.min()), good), 3.0 * max(float(missing.max()), worst))
     axes.set_xlim(0.3, len(order) + 0.7)
     axes.grid(visible=False, axis="x")
     axes.xaxis.set_major_locator(MaxNLocator(10, integer=True, min_n_ticks=1))
     axes.yaxis.set_major_locator(LogLocator(10.0))
-    axes.yaxis.set_major_formatter(_PERCENT)
+    axes.yaxis.set_major_formatter(PERCENT)
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("measured cells, worst first")
     axes.set_ylabel("light that the set misses")
-    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.2, columnspacing=1.4)
+    draw_legend(axes, handle=1.2)
 
 
 def draw_trades(axes: Axes, theme: Theme, quality: Quality) -> None:
@@ -128,9 +126,9 @@ def draw_trades(axes: Axes, theme: Theme, quality: Quality) -> None:
     top = max(mean)
     target = TARGETS["psnr"][0]
     assert target is not None
-    _level(axes, theme, ceiling, f"exactly what an image shows {ceiling:.1f} dB", theme.traced, left=True)
+    draw_level(axes, theme, ceiling, f"exactly what an image shows {ceiling:.1f} dB", theme.traced, left=True)
     if abs(ceiling - target) > 0.06 * max(top, ceiling):
-        _level(axes, theme, target, f"target of the mean {target:g} dB", theme.published, left=True)
+        draw_level(axes, theme, target, f"target of the mean {target:g} dB", theme.published, left=True)
     for each, size in zip(trades, x, strict=True):
         beyond = size < 0.3 * max(x)  # no room for text on its left
         axes.annotate(
@@ -148,7 +146,7 @@ def draw_trades(axes: Axes, theme: Theme, quality: Quality) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(7))
     axes.set_xlabel("megabytes sent for a cell, on average")
     axes.set_ylabel("PSNR against the full scene, dB")
-    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=1.8, columnspacing=1.4)
+    draw_legend(axes)
 
 
 def _draw_bars(axes: Axes, values: F64, color: str) -> None:
@@ -158,23 +156,3 @@ def _draw_bars(axes: Axes, values: F64, color: str) -> None:
     axes.set_xlim(0.5, len(values) + 0.5)
     axes.grid(visible=False, axis="x")
     axes.xaxis.set_major_locator(MaxNLocator(8, integer=True, min_n_ticks=1))
-
-
-def _level(
-    axes: Axes, theme: Theme, value: float, text: str, color: str, *, above: bool = True, left: bool = False
-) -> None:
-    """Draw a dashed line across the plot with its meaning on it."""
-    axes.axhline(value, color=color, linewidth=1.6, dashes=(5, 2))
-    axes.annotate(
-        text,
-        (0.0 if left else 1.0, value),
-        xycoords=("axes fraction", "data"),
-        xytext=(3 if left else -2, 3 if above else -4),
-        textcoords="offset points",
-        ha="left" if left else "right",
-        va="bottom" if above else "top",
-        color=color,
-        fontweight="bold",
-        fontsize=9,
-        bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
-    )

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gsvis.abr.qoe import FIRST_FRAME_DB
-from gsvis.report.html import Figure, describe_run, figure, fill_template, plain, table, tiles
+from gsvis.report.html import Figure, figure, plain, report_page, table, tiles
+from gsvis.report.session_document import Simulation
 from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.viewing import GOOD_DB
-from gsvis.simulate.visits import WALKED
-
-if TYPE_CHECKING:
-    from gsvis.report.session_document import Simulation
-    from gsvis.simulate.visits import Visit
+from gsvis.simulate.visits import WALKED, Visit
 
 __all__ = ["PAPER_SENT", "content_remarks", "describe_eyes", "format_figures", "session_page"]
 
@@ -21,6 +19,40 @@ PAPER_SENT = {"gaussians": 0.8685, "terms_first": 0.0358, "terms": 0.2239}
 """SRBF-Gaussian, figure 13: shares sent after 30 s, and of the SRBFs at the start."""
 
 Rows = list[tuple[str, ...]]
+Format = Callable[[float], str]
+
+
+def _megabytes(nbytes: float) -> str:
+    return f"{nbytes / 1e6:.2f} MB"
+
+
+_SECONDS = "{:.1f} s".format
+_SHARE = "{:.1%}".format
+_FIGURES: tuple[tuple[str, str, Format], ...] = (
+    ("score", "QoE of a step", "{:.3f}".format),
+    ("quality", "quality part", "{:.3f}".format),
+    ("delay", "delay part", "{:.3f}".format),
+    ("psnr", "PSNR, mean", "{:.1f} dB".format),
+    ("latency", "latency, mean", "{:.3f} s".format),
+    ("seconds_to_first_image", f"first image of {FIRST_FRAME_DB:g} dB", _SECONDS),
+    ("seconds_to_good_image", f"first image of {GOOD_DB:g} dB", _SECONDS),
+    ("stall", "stalled", _SECONDS),
+    ("bytes", "arrived", _megabytes),
+    ("filling_bytes", "of them on an idle link", _megabytes),
+    ("records_twice", "records sent twice", "{:,}".format),
+    ("gaussian_share", "Gaussians sent", _SHARE),
+    ("replaced_share", "of them replaced since", _SHARE),
+    ("unseen_share", "chosen, never seen", _SHARE),
+    ("term_share", "SRBFs sent", _SHARE),
+)
+"""Rows of the table of figures: key in the document, label, and how to write the value."""
+_LARGE_FIGURES: tuple[tuple[str, str, Format], ...] = (
+    ("seconds_to_first_image", f"to a first image of {FIRST_FRAME_DB:g} dB", _SECONDS),
+    ("seconds_to_good_image", f"to an image of {GOOD_DB:g} dB", _SECONDS),
+    ("latency", "from a pose to its image, on average", "{:.3f} s".format),
+    ("score", "quality of experience of a step", "{:.2f}".format),
+)
+"""The same for the large figures at the top of the page."""
 
 
 def session_page(simulation: Simulation, document: dict[str, Any], figures: dict[str, Figure]) -> str:
@@ -31,18 +63,18 @@ def session_page(simulation: Simulation, document: dict[str, Any], figures: dict
         document: The content of `report.json`.
         figures: Plots and pictures by name.
     """
-    return fill_template(
-        "session_page.html",
-        title=escape(simulation.title),
-        version=escape(document["gsvis"]),
+    return report_page(
+        document["title"],
+        document,
         lead=_lead(document),
         tiles=_tiles(document),
-        start=_start(simulation, document, figures),
-        session=_session(document, figures),
-        sent=_explain_sent(document, figures),
-        figures=_tables(document),
-        assumed=_explain_assumptions(document),
-        how=describe_run(document),
+        sections={
+            "The first seconds": _start(simulation, document, figures),
+            "The whole session": _session(document, figures),
+            "What was sent": _explain_sent(document, figures),
+            "All figures": _tables(document),
+            "What was assumed": _explain_assumptions(document),
+        },
     )
 
 
@@ -52,84 +84,58 @@ def format_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows
     Args:
         systems: Systems, as in the document.
     """
-
-    def cells(key: str, spell: Any) -> list[str]:
-        missing = "nothing to see" if systems[0]["figures"]["score"] is None else "never"
-        return [(missing if value is None else spell(value)) for value in (s["figures"][key] for s in systems)]
-
-    def seconds(value: float) -> str:
-        return f"{value:.1f} s"
-
-    def share(value: float) -> str:
-        return f"{value:.1%}"
-
-    has_terms = any(s["figures"]["terms"] for s in systems)
-    rows: Rows = [
-        ("QoE of a step", *cells("score", lambda v: f"{v:.3f}")),
-        ("quality part", *cells("quality", lambda v: f"{v:.3f}")),
-        ("delay part", *cells("delay", lambda v: f"{v:.3f}")),
-        ("PSNR, mean", *cells("psnr", lambda v: f"{v:.1f} dB")),
-        ("latency, mean", *cells("latency", lambda v: f"{v:.3f} s")),
-        (f"first image of {FIRST_FRAME_DB:g} dB", *cells("seconds_to_first_image", seconds)),
-        (f"first image of {GOOD_DB:g} dB", *cells("seconds_to_good_image", seconds)),
-        ("stalled", *cells("stall", seconds)),
-        ("arrived", *cells("bytes", lambda v: f"{v / 1e6:.2f} MB")),
-        ("of them on an idle link", *cells("filling_bytes", lambda v: f"{v / 1e6:.2f} MB")),
-        ("records sent twice", *cells("records_twice", lambda v: f"{v:,}")),
-        ("Gaussians sent", *cells("gaussian_share", share)),
-        ("of them replaced since", *cells("replaced_share", share)),
-        ("chosen, never seen", *cells("unseen_share", share)),
-    ]
-    if has_terms:
-        rows.append(("SRBFs sent", *cells("term_share", share)))
-    return ("", *(s["system"] for s in systems)), rows
+    figures = [system["figures"] for system in systems]
+    missing = "nothing to see" if figures[0]["score"] is None else "never"
+    rows: Rows = []
+    for key, label, to_text in _FIGURES:
+        if key == "term_share" and not any(each["terms"] for each in figures):
+            continue
+        values = (each[key] for each in figures)
+        rows.append((label, *(missing if value is None else to_text(value) for value in values)))
+    return ("", *(system["system"] for system in systems)), rows
 
 
 def content_remarks(document: dict[str, Any]) -> list[str]:
-    """Return sentences on visits whose figures say little: of another reference, outside of cells, of nothing; text."""
-    remarks = []
-    for visit in document["visits"]:
-        if visit["remark"]:
-            remarks.append(f"{visit['scene']['name']}: {visit['remark']}.")
-        remarks += _warn_of_eyes(visit)
-        count = visit["views"]["compared"]
-        some = visit["views"]["with_content"]
-        name = visit["scene"]["name"]
-        if some == 0:
-            remarks.append(
-                f"The path sees nothing of {name} in any of {count:,} views: there is nothing to compare."
-                " Is the path in the frame of the scene?"
-            )
-        elif some < count:
-            remarks.append(f"{count - some:,} of {count:,} views show nothing of {name} and count in no figure.")
-    return remarks
+    """Return warnings for visits whose figures say little, and remarks on their reference scenes; text."""
+    return [remark for visit in document["visits"] for remark in _remarks_on(visit)]
 
 
-def _warn_of_eyes(visit: dict[str, Any]) -> list[str]:
-    """Return a warning where a walk lies outside of cells, and that of the check by other eyes; text."""
+def _remarks_on(visit: dict[str, Any]) -> list[str]:
+    """Return the remarks on one visit: its reference, the path outside of cells, views that show nothing; text."""
     name = visit["scene"]["name"]
+    remarks = []
+    if visit["remark"]:
+        remarks.append(f"{name}: {visit['remark']}.")
     share = visit["path"].get("in_cells")
-    found = []
     if share is not None and share < WALKED:
-        found.append(
+        remarks.append(
             f"Warning: only {share:.0%} of the path lies in cells of {name}; elsewhere what is sent first is a guess."
             " Prepare it with --path, --cameras or --box if people stand there."
         )
     judged = visit["scene"].get("judged")
     if judged and judged["warning"]:
-        found.append(f"{name} was prepared with a warning. {judged['warning']}")
-    return found
+        remarks.append(f"{name} was prepared with a warning. {judged['warning']}")
+    count = visit["views"]["compared"]
+    with_content = visit["views"]["with_content"]
+    if with_content == 0:
+        remarks.append(
+            f"The path sees nothing of {name} in any of {count:,} views: there is nothing to compare."
+            " Is the path in the frame of the scene?"
+        )
+    elif with_content < count:
+        remarks.append(f"{count - with_content:,} of {count:,} views show nothing of {name} and count in no figure.")
+    return remarks
 
 
 def describe_eyes(visit: dict[str, Any]) -> str:
-    """Return which share of a walk lies in cells, and which of the eyes that judged the package; text, or nothing."""
-    walked = visit["path"].get("in_cells")
-    judged = visit["scene"].get("judged")
-    if walked is None:
+    """Return which share of a path lies in cells, and which share of the judge's eyes; text, empty if unknown."""
+    share = visit["path"].get("in_cells")
+    if share is None:
         return ""
-    share = None if judged is None else judged["eyes_in_cells"]
-    others = "" if share is None else f", and {share:.0%} of the eyes that judged it"
-    return f"{walked:.0%} of the path lies in cells of {visit['scene']['name']}{others}."
+    judged = visit["scene"].get("judged")
+    of_judges = None if judged is None else judged["eyes_in_cells"]
+    also = "" if of_judges is None else f", and {of_judges:.0%} of the eyes that judged it"
+    return f"{share:.0%} of the path lies in cells of {visit['scene']['name']}{also}."
 
 
 def _lead(document: dict[str, Any]) -> str:
@@ -163,25 +169,17 @@ def _tiles(document: dict[str, Any]) -> str:
     systems = next((v["systems"] for v in document["visits"] if v["views"]["with_content"]), None)
     if systems is None:
         return ""
-    ours = systems[0]
-    rest = systems[1:]
-
-    def beside(key: str, spell: Any) -> str:
-        return "; ".join(f"{s['system']}: {_or_never(s['figures'][key], spell)}" for s in rest)
-
     shown = []
-    for key, label, spell in (
-        ("seconds_to_first_image", f"to a first image of {FIRST_FRAME_DB:g} dB", lambda v: f"{v:.1f} s"),
-        ("seconds_to_good_image", f"to an image of {GOOD_DB:g} dB", lambda v: f"{v:.1f} s"),
-        ("latency", "from a pose to its image, on average", lambda v: f"{v:.3f} s"),
-        ("score", "quality of experience of a step", lambda v: f"{v:.2f}"),
-    ):
-        shown.append((_or_never(ours["figures"][key], spell), label, beside(key, spell)))
+    for key, label, to_text in _LARGE_FIGURES:
+        ours, *others = (_or_never(system["figures"][key], to_text) for system in systems)
+        names = (system["system"] for system in systems[1:])
+        comparison = "; ".join(f"{name}: {value}" for name, value in zip(names, others, strict=True))
+        shown.append((ours, label, comparison))
     return tiles(shown)
 
 
-def _or_never(value: float | None, spell: Any) -> str:
-    return "never" if value is None else str(spell(value))
+def _or_never(value: float | None, to_text: Format) -> str:
+    return "never" if value is None else to_text(value)
 
 
 def _start(simulation: Simulation, document: dict[str, Any], figures: dict[str, Figure]) -> str:

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from gsvis.abr.qoe import FIRST_FRAME_DB
 from gsvis.abr.traces import BYTES, BandwidthTrace
 from gsvis.report.session_page import PAPER_SENT
-from gsvis.report.theme import Theme
+from gsvis.report.theme import PERCENT, Theme, draw_legend, draw_level
 from gsvis.simulate.viewing import GOOD_DB, Viewing
 
 __all__ = [
@@ -29,8 +29,6 @@ __all__ = [
 
 F64 = NDArray[np.float64]
 Visits = Sequence[Sequence[Viewing]]
-
-_PERCENT = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
 
 
 def draw_score(axes: Axes, theme: Theme, visits: Visits) -> None:
@@ -79,23 +77,12 @@ def draw_start(axes: Axes, theme: Theme, visits: Visits) -> None:
         values = np.append(seen, seen[-1])
         axes.step(times, values, where="post", color=color, linestyle=style, linewidth=2.0, label=session.playback.name)
     for level, label in ((FIRST_FRAME_DB, "a first image"), (GOOD_DB, "a good one")):
-        axes.axhline(level, color=theme.muted, linewidth=1.2, dashes=(5, 2))
-        axes.annotate(
-            f"{label}, {level:g} dB",
-            (1.0, level),
-            xycoords=("axes fraction", "data"),
-            xytext=(-2, 3),
-            textcoords="offset points",
-            ha="right",
-            va="bottom",
-            color=theme.muted,
-            fontsize=9,
-        )
+        draw_level(axes, theme, level, f"{label}, {level:g} dB", theme.muted)
     axes.set_xlim(0.0, end)
     axes.set_ylim(-1.0, 1.06 * visits[0][0].config.qoe.psnr_scale)
     axes.set_xlabel("seconds since the scene was asked for")
     axes.set_ylabel("PSNR, dB")
-    axes.figure.legend(loc="outside upper center", ncols=3, handlelength=1.8, columnspacing=1.4)
+    draw_legend(axes, 3)
 
 
 def draw_shares(axes: Axes, theme: Theme, visits: Visits) -> None:
@@ -136,10 +123,10 @@ def draw_shares(axes: Axes, theme: Theme, visits: Visits) -> None:
             )
     axes.set_xlim(0.0, end)
     axes.set_ylim(0.0, 1.03)
-    axes.yaxis.set_major_formatter(_PERCENT)
+    axes.yaxis.set_major_formatter(PERCENT)
     axes.set_xlabel("seconds since the scene was asked for")
     axes.set_ylabel("share sent")
-    axes.figure.legend(loc="outside upper center", ncols=2, handlelength=2.2, columnspacing=1.4)
+    draw_legend(axes, handle=2.2)
 
 
 def draw_bytes(axes: Axes, theme: Theme, visits: Visits) -> None:
@@ -159,7 +146,7 @@ def draw_bytes(axes: Axes, theme: Theme, visits: Visits) -> None:
     axes.set_ylim(0.0, 1.08 * max(top, 1e-6))
     axes.set_xlabel("seconds")
     axes.set_ylabel("megabytes arrived")
-    axes.figure.legend(loc="outside upper center", ncols=3, handlelength=1.8, columnspacing=1.4)
+    draw_legend(axes, 3)
 
 
 def _over_time(axes: Axes, theme: Theme, visits: Visits, value: Callable[[Viewing], F64]) -> None:
@@ -183,7 +170,7 @@ def _over_time(axes: Axes, theme: Theme, visits: Visits, value: Callable[[Viewin
     axes.set_xlim(0.0, start)
     axes.xaxis.set_major_locator(MaxNLocator(7))
     axes.set_xlabel("seconds")
-    axes.figure.legend(loc="outside upper center", ncols=3, handlelength=1.8, columnspacing=1.4)
+    draw_legend(axes, 3)
 
 
 def _with_content(session: Viewing, values: F64) -> F64:

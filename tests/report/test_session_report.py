@@ -13,8 +13,9 @@ import pytest
 from PIL import Image
 
 from gsvis.abr import AbrConfig, BandwidthTrace
-from gsvis.report.session_document import Simulation, session_document, write_session_report
+from gsvis.report.session_document import Simulation, session_document
 from gsvis.report.session_page import _lead, content_remarks, describe_eyes
+from gsvis.report.session_report import write_session_report
 from gsvis.simulate import Adaptive, Link, MortonProgressive, Visit, WholeFile, play, show_at, watch
 from gsvis.simulate.visits import judged_in
 from tests.report.test_color_report import Outline
