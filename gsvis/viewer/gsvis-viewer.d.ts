@@ -21,6 +21,19 @@ export interface HarmonicTables {
   high: number[];
 }
 
+/** The symbol at each slot; for each symbol its first slot and, from bit 16 on, how many slots it has. */
+export interface SymbolTable {
+  slots: Uint16Array;
+  spans: Uint32Array;
+}
+
+/** The code of a scene; a table without symbols is null. `steps` says which bits are left out. */
+export interface Code {
+  colors: ColorTables;
+  tables: (SymbolTable | null)[];
+  steps: { place: number; turn: number } | null;
+}
+
 /** A quality level; levels are listed lowest first. */
 export interface Level {
   name: string;
@@ -363,13 +376,6 @@ export interface XrSession {
   addEventListener(type: "end", listener: () => void): void;
 }
 
-/** The code of a scene; a table without symbols is null. `steps` says which bits are left out. */
-interface Code {
-  colors: ColorTables;
-  tables: (Table | null)[];
-  steps: { place: number; turn: number } | null;
-}
-
 /** Starts the Worker; a page in one file passes its own. */
 type WorkerStart = () => Worker;
 
@@ -380,12 +386,6 @@ interface XrFrame {
 interface XrLayer {
   framebuffer: WebGLFramebuffer | null;
   getViewport(view: XrView): { x: number; y: number; width: number; height: number } | null | undefined;
-}
-
-/** A table: the symbol at each slot, and for each symbol its first slot and, from bit 16 on, how many it has. */
-interface Table {
-  slots: Uint16Array;
-  spans: Uint32Array;
 }
 
 interface XrView {

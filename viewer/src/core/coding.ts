@@ -3,23 +3,10 @@ import { readCodes, wordsOf } from "./bits.ts";
 import { bitsOf } from "./boxes.ts";
 import type { Chunks } from "./chunks.ts";
 import { recordLayout, termWidths } from "./tables.ts";
-import type { ColorTables } from "./types.ts";
+import type { Code, ColorTables, SymbolTable } from "./types.ts";
 import { ProtocolError } from "./wire.ts";
 
 const LEAST = 65536, SLOTS = 4096, MOST_LEVEL = 49, TURNS = 8, COLOR = 35, FUNCTION = 69;
-
-/** A table: the symbol at each slot, and for each symbol its first slot and, from bit 16 on, how many it has. */
-interface Table {
-  slots: Uint16Array;
-  spans: Uint32Array;
-}
-
-/** The code of a scene; a table without symbols is null. `steps` says which bits are left out. */
-export interface Code {
-  colors: ColorTables;
-  tables: (Table | null)[];
-  steps: { place: number; turn: number } | null;
-}
 
 const log = (value: number) => Math.round(64 * Math.log2(value));
 const LOGS = /* @__PURE__ */ Int16Array.from({ length: 256 }, (_, i) => log(Math.max(i, 1)));
@@ -75,7 +62,7 @@ function sizesOf(colors: ColorTables): number[] {
 }
 
 /** Return the table of symbols with these weights: each has one slot, and of the rest its share. */
-function tableOf(weights: Float64Array): Table | null {
+function tableOf(weights: Float64Array): SymbolTable | null {
   const total = weights.reduce((a, b) => a + b, 0), some = weights.filter((weight) => weight > 0).length;
   if (total === 0) return null;
   const slots = new Uint16Array(SLOTS), spans = new Uint32Array(weights.length);
@@ -94,12 +81,12 @@ function tableOf(weights: Float64Array): Table | null {
 /** Reads symbols and bits; what is missing reads as zeros. */
 class Reader {
   readonly #words: Uint16Array;
-  readonly #tables: (Table | null)[];
+  readonly #tables: (SymbolTable | null)[];
   readonly #states = new Uint32Array(2); // operations use one and the other in turn
   #turn = 0;
   #at = 4;
 
-  constructor(bytes: Uint8Array, tables: (Table | null)[]) {
+  constructor(bytes: Uint8Array, tables: (SymbolTable | null)[]) {
     this.#words = new Uint16Array(Math.max(Math.ceil(bytes.length / 2), 4));
     new Uint8Array(this.#words.buffer).set(bytes);
     this.#tables = tables;

@@ -1,6 +1,5 @@
 // What passes between the parts of the viewer: a source gives a header and batches, the renderer draws them.
 // Frames are those of the scene: OpenCV cameras (+x right, +y down, +z forward), quaternions wxyz, world from camera.
-import type { Code } from "./coding.ts";
 
 /** Numbers that define the tables of base colors and terms; `colors` of WELCOME (docs/streaming.md). */
 export interface ColorTables {
@@ -21,6 +20,19 @@ export interface HarmonicTables {
   degree: 1 | 2 | 3;
   low: number[];
   high: number[];
+}
+
+/** The symbol at each slot; for each symbol its first slot and, from bit 16 on, how many slots it has. */
+export interface SymbolTable {
+  slots: Uint16Array;
+  spans: Uint32Array;
+}
+
+/** The code of a scene; a table without symbols is null. `steps` says which bits are left out. */
+export interface Code {
+  colors: ColorTables;
+  tables: (SymbolTable | null)[];
+  steps: { place: number; turn: number } | null;
 }
 
 /** A quality level; levels are listed lowest first. */
