@@ -111,6 +111,11 @@ class Stages:
         return not isinstance(self.scene, Levels) and self.config.levels is not None
 
     @cached_property
+    def space_hash(self) -> str:
+        """Hash of the navigable space, which is in the names of most pieces."""
+        return space_hash(self.space)
+
+    @cached_property
     def levels_name(self) -> str:
         """Name of the folder of the levels."""
         assert isinstance(self.scene, Gaussians)
@@ -119,7 +124,7 @@ class Stages:
             views: dict[str, Any] = {
                 "drawn": asdict(config.level_views),
                 "held_out": config.level_held_out,
-                "space": space_hash(self.space),
+                "space": self.space_hash,
             }
         else:
             views = {"photographs": digest_of_folder(self.photos), "size": config.level_size}
@@ -166,7 +171,7 @@ class Stages:
     def sets_name(self, levels: Levels, grid: CellGrid) -> str:
         """Return the name of the file of visible sets."""
         cells = {**grid.as_dict(), "coords": hashlib.sha256(grid.coords.astype("<i4").tobytes()).hexdigest()}
-        space = space_hash(self.space)
+        space = self.space_hash
         config = self.config.sets.as_dict()
         around = {} if self.around is None else {"around": self.around.digest}
         return (
@@ -217,7 +222,7 @@ class Stages:
     def colors_name(self, levels: Levels, store: VisibilityStore) -> str:
         """Return the name of the file of colors."""
         seen = hashlib.sha256(store.direction_sets.tobytes()).hexdigest() if levels.union.sh_degree else None
-        space = space_hash(self.space)
+        space = self.space_hash
         config = asdict(self.config.colors)
         key = self._key("colors", levels=_content(levels), seen=seen, space=space if seen else None, config=config)
         return f"colors-{key}.arrow"
@@ -245,8 +250,7 @@ class Stages:
     def cost_name(self, levels: Levels, exact: SrbfColors) -> str:
         """Return the name of the file of the cost of rounding."""
         views = asdict(self.config.cost_views)
-        space = space_hash(self.space)
-        key = self._key("cost", levels=_content(levels), colors=colors_hash(exact), views=views, space=space)
+        key = self._key("cost", levels=_content(levels), colors=colors_hash(exact), views=views, space=self.space_hash)
         return f"cost-{key}.json"
 
     def cost(self, levels: Levels, exact: SrbfColors, packed: QuantizedColors) -> Cost:
@@ -272,7 +276,7 @@ class Stages:
             sets=digest_of_folder(sets).split()[0],
             epsilon=self.config.epsilon,
             views=asdict(self.config.fidelity_views),
-            space=space_hash(self.space),
+            space=self.space_hash,
         )
         return f"fidelity-{key}.json"
 
@@ -309,7 +313,7 @@ class Stages:
             levels=_content(levels),
             sets=digest_of_folder(store.path).split()[0],
             views=asdict(views),
-            space=space_hash(self.space),
+            space=self.space_hash,
             around=None if self.around is None else self.around.digest,
             witnesses=witnesses,
         )
