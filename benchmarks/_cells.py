@@ -11,7 +11,7 @@ import numpy as np
 from _harness import realdata
 from numpy.typing import NDArray
 
-from gsvis.cli.source import load_source
+from gsvis.io.sources import load_source
 from gsvis.pvs.cell_view import CellView, Finder, Sighting
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig

@@ -30,9 +30,9 @@ from chosen_eyes import Moved, move
 from numpy.typing import NDArray
 
 from gsvis.cli.options import Where
-from gsvis.cli.source import Source, load_source
 from gsvis.cli.where import find_place
 from gsvis.io import save_scene
+from gsvis.io.sources import load_source
 from gsvis.pvs.cell_count import fitting_cells
 from gsvis.pvs.cell_view import CellView
 from gsvis.pvs.cells import CellGrid
@@ -42,6 +42,7 @@ from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.solid import buried
+from gsvis.scene.source import Source
 
 F64 = NDArray[np.float64]
 

@@ -32,7 +32,7 @@ from _memory import Peak, watch_memory
 from numba import get_num_threads
 from numpy.typing import NDArray
 
-from gsvis.cli.source import Source, load_source
+from gsvis.io.sources import load_source
 from gsvis.jobs.workers import Workers
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cells import CellGrid
@@ -46,6 +46,7 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
 from gsvis.scene.solid import buried
+from gsvis.scene.source import Source
 
 QUESTION = "How long does a whole build of visible sets take, in cubemaps of the rasterizer?"
 SIZE = 320

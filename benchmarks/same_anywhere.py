@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gsvis.cli import main as gsvis
-from gsvis.cli.source import load_source
 from gsvis.io import load_scene, save_scene
+from gsvis.io.sources import load_source
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import BUILTIN_SCENES

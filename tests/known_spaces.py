@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsvis.cli import source
-from gsvis.scene import upright
+from gsvis.scene import source, upright
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.stated import stated_space

@@ -14,10 +14,9 @@ PIXEL = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQV
 
 def draw_no_places(patch: pytest.MonkeyPatch) -> None:
     """Draw no picture of where people stand."""
-    from gsvis.cli import analyze, clean, pvs_report, showing
+    from gsvis.report import readings
 
-    for home in (showing, clean, analyze, pvs_report):
-        patch.setattr(home, "picture_of", lambda source, place: PIXEL)
+    patch.setattr(readings, "picture_of", lambda source, place: PIXEL)
 
 
 def take_few_judges(patch: pytest.MonkeyPatch) -> None:

@@ -9,9 +9,9 @@ from pathlib import Path
 from PIL import Image
 
 from gsvis.cli.options import Where
-from gsvis.cli.showing import picture_of
-from gsvis.cli.source import load_source
 from gsvis.cli.where import find_place
+from gsvis.io.sources import load_source
+from gsvis.report.readings import picture_of
 
 ROOT = Path(__file__).resolve().parents[1]
 

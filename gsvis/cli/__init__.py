@@ -88,7 +88,7 @@ def parse(arguments: Sequence[str]) -> Command:
     import tyro
 
     from gsvis.cli.help import ALL, find_command
-    from gsvis.cli.spelling import expand_home, misspelling, paths_first
+    from gsvis.cli.spelling import axes_as_values, expand_home, misspelling, paths_first
 
     wrong = misspelling(arguments)
     if wrong is not None:
@@ -97,12 +97,13 @@ def parse(arguments: Sequence[str]) -> Command:
     assert kind is not None, "misspelling has refused unknown commands"
     if {"-h", "--help", ALL} & set(arguments[1:]):
         _print_help(kind, arguments[0], every=ALL in arguments)
-    name, *words = _axes_as_values(paths_first(arguments))
+    name, *words = axes_as_values(paths_first(arguments))
     command: Command = tyro.cli(kind, prog=f"gsvis {name}", args=words, config=_style())
     return expand_home(command)
 
 
 def _style() -> tuple[Any, ...]:
+    """Return the settings of `tyro` for all commands."""
     from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
 
     return FlagCreatePairsOff, OmitArgPrefixes
@@ -126,34 +127,6 @@ def _print_help(kind: type, name: str, *, every: bool) -> None:
             sys.stdout.write(f"{others} more {'option' if others == 1 else 'options'}: gsvis {name} {ALL}\n")
 
 
-def _axes_as_values(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments with the value of --up or --change-up as one word that tyro does not read as an option.
-
-    A space goes before -y, and the three numbers of a direction become one word.
-    """
-    words = list[str]()
-    rest = list(arguments)
-    while rest:
-        word = rest.pop(0)
-        option, equals, value = word.partition("=")
-        if option.replace("_", "-") not in ("--up", "--change-up") or not (equals or rest):
-            words.append(word)
-            continue
-        given = [value if equals else rest.pop(0)]
-        while len(given) < 3 and rest and _is_number(rest[0]) and _is_number(given[0]):
-            given.append(rest.pop(0))
-        words += [option, " " + " ".join(given)]
-    return words
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
 def version() -> str:
     """Return the installed version of gsvis."""
     from importlib.metadata import version as installed
@@ -169,6 +142,7 @@ def _remove_abandoned() -> None:
 
 
 def _run(command: Command) -> None:
+    """Run a parsed command by the function of its module."""
     from gsvis.cli.options import command_name
 
     name = command_name(type(command)).replace("-", "_")
@@ -227,6 +201,7 @@ def _drop_stdout_if_full(error: Exception) -> None:
 
 
 def _exit_with(line: str, code: int) -> int:
+    """Print a line of status; return the exit code."""
     sys.stderr.write(f"gsvis: {as_line(line)}\n")
     return code
 

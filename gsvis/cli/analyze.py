@@ -12,13 +12,15 @@ from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Analyze
 from gsvis.cli.options import command_line, config_of, refuse, values_of
-from gsvis.cli.showing import picture_of
-from gsvis.cli.shown import check_shown, load_shown
-from gsvis.cli.source import evenly, file_cameras, framed_cameras, inspect_scene_of, is_builtin, open_source
+from gsvis.cli.source import inspect_scene_of, open_source
 from gsvis.cli.targets import check_report
 from gsvis.cli.terminal import Status, facts, print_json, show
-from gsvis.cli.where import check_where, find_place, space_document, suspect_views
+from gsvis.cli.where import check_where, find_place, framed_cameras, space_document, suspect_views
 from gsvis.errors import SceneError
+from gsvis.io.cameras import load_cameras_at
+from gsvis.io.sources import is_builtin
+from gsvis.package.shown import check_shown, load_shown
+from gsvis.prepare.warm import warm_analysis
 from gsvis.raycast import CrossCheck, describe_check
 from gsvis.render.judges import JUDGES
 from gsvis.scene.cameras import Cameras
@@ -65,6 +67,7 @@ def _write_report(
     from gsvis.raycast import EllipsoidProxies, Tracer
     from gsvis.raycast.analysis import AnalysisConfig, analyze
     from gsvis.report import Subject, picture_views, write_report
+    from gsvis.report.readings import picture_of
 
     config = config_of(AnalysisConfig, command.tracing)
     source = open_source(command.scene, command.lod, status, "see", load_shown)
@@ -83,8 +86,7 @@ def _write_report(
     remarks = (
         framed + place.remarks + _buried_cameras(g, given) + ([] if navigable is None else suspect_views(g, navigable))
     )
-    with status.stage("kernels"):
-        _warm_up()
+    warm_analysis(status)
     tracer = Tracer(EllipsoidProxies.from_scene(g))
     analysis = analyze(g, cameras, config, navigable=navigable, tracer=tracer, progress=status)
     if no_space:
@@ -150,26 +152,18 @@ def _repeats_views(command: Analyze) -> bool:
     return command.where.cameras is not None and holds_repeated_views(command.where.cameras)
 
 
-def _warm_up() -> None:
-    """Compile or load the kernels on a scene of one Gaussian, so that progress shows this time as a stage."""
-    from gsvis.raycast.analysis import AnalysisConfig, analyze
-
-    one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
-    camera = Cameras.look_at([[4.0, 0.0, 0.0]], (0.0, 0.0, 0.0), width=1, height=1)
-    analyze(one, camera, AnalysisConfig(traced_sample=1), navigable=NavigableSpace.from_box((3, 3, 3), (4, 4, 4), 1))
-
-
 def _given_cameras(command: Analyze) -> Cameras | None:
     """Return the cameras of --cameras at the size of --width and --height; None without a file."""
     if command.where.cameras is None:
         return None
     refuse(command, ["fov"], "with --cameras, whose file states it")
     at_most = None if _repeats_views(command) else _WIDTH  # views of a report keep their size
-    cameras = file_cameras(command.where.cameras, command.width, command.height, at_most=at_most)
-    return cameras if command.views is None else evenly(cameras, command.views)
+    cameras = load_cameras_at(command.where.cameras, command.width, command.height, at_most=at_most)
+    return cameras if command.views is None else cameras.evenly(command.views)
 
 
 def _sample_cameras(command: Analyze, navigable: NavigableSpace | None, no_space: str) -> Cameras:
+    """Return cameras that are sampled in the navigable space."""
     if navigable is None:
         raise SceneError(
             f"{no_space}; give cameras with --cameras FILE, or say where eyes may be with --box or --around"
@@ -240,6 +234,7 @@ def _tables(document: dict[str, Any]) -> list[Any]:
 
 
 def _remarks(document: dict[str, Any]) -> list[str]:
+    """Return lines that explain the tables."""
     found = document["directions"]
     differs = document["paper"]["differs"]
     remarks = [" * in the one view of the paper's figure 1"]

@@ -30,7 +30,7 @@ from gsvis.cli.options import (
 from gsvis.cli.options import (
     Levels as Training,
 )
-from gsvis.cli.readers import Count, File, Flag, Lod, Memory, Scene, Seed, hint, out
+from gsvis.cli.readers import Count, File, Flag, Lod, Memory, Report, Scene, Seed, hint, out
 
 __all__ = [
     "Analyze",
@@ -63,9 +63,7 @@ class Inspect:
     """Report what a scene holds and what looks wrong with it."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     lod: Lod = None
-    """Level of detail of a streamed scene; 0 is the finest."""
     histograms: Flag = False
     """Show how opacities, sizes, shapes, distances and SH are spread, too."""
     where: Where = Where()
@@ -77,7 +75,6 @@ class Tracing:
     """How a scene is analyzed: `gsvis.raycast.analysis.AnalysisConfig`."""
 
     seed: Seed = 0
-    """Seed of everything random: the same seed gives the same report."""
     tau: Annotated[float, readers.WEIGHT, hint("1/255")] = 1.0 / 255.0
     """Weight from which a Gaussian counts as visible."""
     traced_sample: Annotated[int, readers.WHOLE] = 5000
@@ -91,11 +88,8 @@ class Analyze:
     """Trace what views need and from where each Gaussian is visible; write a report."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
-    out: Annotated[str, out("DIR")]
-    """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
+    out: Report
     lod: Lod = None
-    """Level of detail of a streamed scene; 0 is the finest."""
     where: Annotated[
         Where,
         with_help(
@@ -161,11 +155,9 @@ class Render:
     """Draw a scene as cameras see it; list who contributes to a pixel."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str | None, out("OUT", "(required without --contributors)")] = None
     """A .png for one camera, a .gif for an animation, or a folder for 0000.png, 0001.png and on; made if missing."""
     lod: Lod = None
-    """Level of detail of a streamed scene; 0 is the finest."""
     where: Annotated[
         Placed,
         with_help(
@@ -177,7 +169,6 @@ class Render:
     ] = Placed()
     cast: Cast = Cast()
     seed: Seed = 0
-    """Seed of everything random: the same seed gives the same view."""
     picture: Picture = Picture()
     contributors: Annotated[tuple[int, int] | None, readers.PIXEL, hint("none")] = None
     """List the Gaussians blended into the pixel in column X and row Y, front to back; for one camera."""
@@ -207,11 +198,9 @@ class Pvs:
     """Find what is visible from each cell of a scene; write it as a store."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, out("FILE")]
     """The store to write, such as scene.pvs; an existing one is replaced when the new one is complete."""
     lod: Lod = None
-    """Level of detail of a streamed scene; 0 is the finest."""
     where: Annotated[Shown, with_help(show=IN_DOUBT)] = Shown()
     sets: Annotated[CertifiedSets, with_help({"cells": "512, or 128 around an object whose sets hardly grow then"})] = (
         CertifiedSets()
@@ -249,7 +238,6 @@ class Quality:
     bytes_per_gaussian: Annotated[Count, hint("32 bits for each attribute")] = None
     """Bytes that sending one Gaussian costs."""
     seed: Seed = 0
-    """Seed of everything random: the same seed gives the same report."""
 
 
 @dataclass(frozen=True)
@@ -260,10 +248,8 @@ class PvsReport:
     """What gsvis pvs wrote."""
     scene: Scene
     """The scene it was built from: a file or folder, or builtin:NAME."""
-    out: Annotated[str, out("DIR")]
-    """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
+    out: Report
     lod: Lod = None
-    """Level of detail of a streamed scene; 0 is the finest."""
     where: Annotated[
         Framed,
         with_help(
@@ -300,7 +286,6 @@ class Compared:
     height: Annotated[int, readers.PIXELS] = 360
     """Pixels down these views."""
     seed: Seed = 0
-    """Seed of everything random: the same seed gives the same file."""
 
 
 @dataclass(frozen=True)
@@ -308,11 +293,9 @@ class Color:
     """Replace SH colors with a base color and a few terms that can be sent in pieces."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, out("FILE")]
     """The Arrow file to write, such as scene.arrow: geometry, base colors and terms; replaced if it exists."""
     lod: Lod = None
-    """Level of detail of a streamed scene; 0 is the finest."""
     pvs: Annotated[str | None, hint("directions are traced", "FILE")] = None
     """Visible sets of SCENE (gsvis pvs): they hold from where each Gaussian is seen."""
     where: Annotated[Placed, with_help(up=f"{UP}; not with --pvs.")] = Placed()
@@ -327,7 +310,6 @@ class Color:
     report: Annotated[str | None, hint("none", "DIR")] = None
     """Report to write: a folder for report.html (all in one file), report.json and the pictures; made if missing."""
     max_memory: Memory = None
-    """Memory limit, such as 8GB: a scene that needs more is refused before it is read."""
     output: Reading = Reading()
 
 
@@ -346,7 +328,6 @@ class Levels:
     """Make lower levels of a scene that share most of their Gaussians with it."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, out("DIR")]
     """Folder for low.ply, medium.ply, high.ply and levels.arrow, which lists what they share; made if missing."""
     lod: Lod = None
@@ -362,9 +343,7 @@ class Levels:
         ),
     ] = MeasuredLevels()
     seed: Seed = 0
-    """Seed of everything random: the same seed gives the same levels."""
     max_memory: Memory = None
-    """Memory limit, such as 8GB: a scene that needs more is refused before it is read."""
     output: Reading = Reading()
 
 
@@ -405,8 +384,7 @@ class Simulate:
     path: Annotated[str, arg(metavar="FILE", help_behavior_hint="(required)")]
     """Walk of the viewer: a CSV of poses (t,x,y,z,qw,qx,qy,qz) or an EyeNavGS recording. Moved into the
     scene if it lies outside."""
-    out: Annotated[str, out("DIR")]
-    """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
+    out: Report
     link: Simulated = Simulated()
     viewing: Viewing = Viewing()
     visits: Annotated[Count, hint("one for each package")] = None
@@ -424,7 +402,6 @@ class Simulate:
     as_is: Flag = False
     """Leave the path where it is, even outside of the scene."""
     seed: Seed = 0
-    """Seed of everything random: the same seed gives the same report."""
     max_memory: Annotated[Memory, hint("no bound; worlds must fit this machine")] = None
     """Memory limit, such as 4GB: what needs more is refused. All records are read."""
     output: Annotated[Reading, REPORT] = Reading()

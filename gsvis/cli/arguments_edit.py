@@ -9,7 +9,7 @@ from tyro.conf import Positional, arg
 
 from gsvis.cli import readers
 from gsvis.cli.options import UP, Output, Placed, Reading, Shown, with_help
-from gsvis.cli.readers import Count, File, Flag, Lod, Memory, Scene, Seed, hint, out
+from gsvis.cli.readers import Count, FaceSize, File, Flag, Lod, Memory, Overwrite, Scene, Seed, hint, out
 
 __all__ = ["Clean", "Convert", "Cut", "Paint", "Train"]
 
@@ -45,7 +45,6 @@ class Training:
     random_points: Annotated[Count, hint("50000 where there are none")] = None
     """Number of random points to begin with, instead of those of the reconstruction."""
     seed: Seed = 0
-    """Seed of everything random: the same seed gives the same scene."""
 
 
 @dataclass(frozen=True)
@@ -114,8 +113,7 @@ class Convert:
     """Compression of a .ksplat: 0 whole floats, 1 half floats, 2 also a byte for each SH coefficient."""
     max_memory: Memory = None
     """Memory limit, such as 4GB: work that needs more is refused. A .ply is written batch by batch and fits."""
-    overwrite: Flag = False
-    """Replace files that exist."""
+    overwrite: Overwrite = False
     output: Reading = Reading()
 
 
@@ -134,7 +132,6 @@ class Search:
     max_changed: Annotated[float, readers.SHARE] = 0.1
     """Largest share of the pixels of these views that fog or floaters may have made; else the class is given back."""
     seed: Seed = 0
-    """Seed of everything random: the same seed gives the same file."""
 
 
 @dataclass(frozen=True)
@@ -142,11 +139,9 @@ class Clean:
     """Remove what no eye sees, fog, floaters and flyaways; without -o only report."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str | None, out("OUT", "(default: only report)")] = None
     """File to write, .ply, .spz, .sog or .ksplat."""
     lod: Lod = None
-    """Level of detail of a streamed scene; 0 is the finest."""
     report: Annotated[str | None, hint("no report", "DIR")] = None
     """Report to write: a folder for report.html (all in one file), report.json and pictures of what goes, by class."""
     select: Annotated[str | None, hint("no file", "FILE")] = None
@@ -166,8 +161,7 @@ class Clean:
     ] = Shown()
     max_memory: Memory = None
     """Memory limit, such as 2GB. A scene that needs more is cleaned in tiles, to a .ply; a killed run resumes."""
-    overwrite: Flag = False
-    """Replace files that exist."""
+    overwrite: Overwrite = False
     output: Reading = Reading()
 
 
@@ -179,14 +173,12 @@ class Looking:
     """Weight from which a Gaussian counts as visible."""
     limit: Annotated[float, readers.SHARE] = 0.0015
     """The set that is kept is finished when rays prove that it misses at most this share of the light."""
-    face_size: Annotated[int | None, readers.FACE_PIXELS, hint("512")] = None
-    """Pixels along a side of the six faces around an eye."""
+    face_size: FaceSize = None
     held_out: Annotated[int, readers.WHOLE] = 16
     """Number of further views to measure on in one round; 0 for none."""
     min_psnr: Annotated[float, readers.DECIBELS] = 45.0
     """Least PSNR of such a view; one below it gets what it lacks, and others are drawn."""
     seed: Seed = 0
-    """Seed of everything random: the same seed gives the same file."""
 
 
 @dataclass(frozen=True)
@@ -194,11 +186,9 @@ class Cut:
     """Keep only what eyes along a path, of cameras or in a box can see."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, out("FILE")]
     """The scene to write, .ply, .spz, .sog or .ksplat. An existing file needs --overwrite."""
     lod: Lod = None
-    """Level of detail of a streamed scene; 0 is the finest."""
     where: Annotated[
         Placed,
         with_help(
@@ -211,8 +201,7 @@ class Cut:
     looking: Looking = Looking()
     select: File = None
     """Write what is kept as a NumPy file too: one true or false for each Gaussian of SCENE."""
-    overwrite: Flag = False
-    """Replace files that exist."""
+    overwrite: Overwrite = False
     output: Reading = Reading()
 
 
@@ -221,7 +210,6 @@ class Paint:
     """Color a scene by how its Gaussians are seen, for any viewer."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, out("FILE")]
     """The scene to write, .ply, .spz, .sog or .ksplat. Its legend goes beside it: scene.legend.png. Existing files need
     --overwrite."""
@@ -229,18 +217,14 @@ class Paint:
     """visibility: share of the eyes that see it; directions: of 80, from how many; weight: largest share of a pixel;
     importance: change of views without it; cell: the cell that sees it best. (default: visibility)"""
     lod: Lod = None
-    """Level of detail of a streamed scene; 0 is the finest."""
     pvs: Annotated[str | None, hint("eyes are drawn", "FILE")] = None
     """Visible sets of SCENE (gsvis pvs), to take the quantity from; not for importance."""
     where: Annotated[Placed, with_help(up=f"{UP}; not with --pvs.")] = Placed()
     eyes: Annotated[Count, hint("64; for importance 96")] = None
     """Number of eyes that look all around; for importance, of views."""
-    face_size: Annotated[int | None, readers.FACE_PIXELS, hint("512")] = None
-    """Pixels along a side of the six faces around an eye."""
+    face_size: FaceSize = None
     values: File = None
     """Write the quantity as a NumPy file too: one number for each Gaussian."""
     seed: Seed = 0
-    """Seed of everything random: the same seed gives the same file."""
-    overwrite: Flag = False
-    """Replace files that exist."""
+    overwrite: Overwrite = False
     output: Reading = Reading()

@@ -23,7 +23,7 @@ from gsvis.cli.options import (
     Work,
     with_help,
 )
-from gsvis.cli.readers import Count, Flag, Lod, Scene, Seed, Units, Up, hint, out
+from gsvis.cli.readers import Count, Flag, Lod, Overwrite, Scene, Seed, Units, Up, hint, out
 
 __all__ = ["Export", "Prepare", "Serve", "Space", "Unpack", "Verify", "View", "World"]
 
@@ -65,7 +65,6 @@ class Prepare:
     meters_per_unit: Annotated[Units, hint("that of SCENE, or not known")] = None
     """Length of a scene unit in meters, kept in the package."""
     seed: Seed = 0
-    """Seed of everything random: the same seed gives the same package."""
     work: Annotated[
         Work,
         with_help(
@@ -146,7 +145,6 @@ class World:
     meters_per_unit: Annotated[Units, hint("that of the scenes, or not known")] = None
     """Length of a scene unit in meters, kept in the world."""
     seed: Seed = 0
-    """Seed of everything random: the same seed gives the same world."""
     work: Annotated[
         Tasks,
         with_help(
@@ -223,7 +221,6 @@ class Export:
     page_origins: Annotated[tuple[str, ...], readers.ORIGINS, hint("its own address")] = ()
     """Other origins that a site may open scenes of, by ?content=, such as https://cdn.example.org; for static."""
     lod: Lod = None
-    """Level of detail of a streamed scene; 0 is the finest."""
     where: Annotated[
         Shown,
         with_help(
@@ -242,12 +239,10 @@ class Space:
     """Write where a visitor can be, and what stops one, for other programs."""
 
     scene: Scene
-    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, out("OUT")]
     """OUT.glb: two meshes, navigable and surface. OUT.voxel.json, with OUT.voxel.bin: solid voxels as SuperSplat and
     PlayCanvas read them, in their frame."""
     lod: Lod = None
-    """Level of detail of a streamed scene; 0 is the finest."""
     where: Placed = Placed()
     resolution: Annotated[Count, hint("160")] = None
     """Voxels along the longest side of the scene, 8 to 384; not with --box, --around, --path."""
@@ -255,8 +250,7 @@ class Space:
     """Frame of the meshes. upright: +y points upwards; scene: the frame of SCENE. (default: upright)"""
     meters_per_unit: Annotated[Units, hint("that of SCENE, or 1")] = None
     """Length of a scene unit in meters: upright meshes are in meters then."""
-    overwrite: Flag = False
-    """Replace files that exist."""
+    overwrite: Overwrite = False
     output: Reading = Reading()
 
 
@@ -267,7 +261,6 @@ class View:
     scene: Scene
     """A package, a world or a static scene, or a scene as it is: a file or folder, or builtin:NAME."""
     lod: Lod = None
-    """Level of detail of a streamed scene; 0 is the finest."""
     where: Annotated[Shown, with_help(up="Up in a scene as it is: an axis such as -y, or three numbers.")] = Shown()
     prepare: Annotated[str | None, hint("show it as it is", "PACKAGE")] = None
     """Also prepare the scene as this package meanwhile; it is served under the same name as soon as it is ready."""

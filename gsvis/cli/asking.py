@@ -13,20 +13,25 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from gsvis.cli.options import Shown
-from gsvis.cli.showing import Choice, find_choices, place_beside, write_picture
-from gsvis.cli.source import Source, parse_up
 from gsvis.cli.terminal import Status
-from gsvis.cli.where import Place, find_place, suspect_views
+from gsvis.cli.where import find_place, parse_up, suspect_views
+from gsvis.files.atomic import atomic_path
 from gsvis.files.temporary import temporary_folder
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.kinds import KINDS
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
+from gsvis.scene.place import Place
+from gsvis.scene.readings import Choice, find_choices
+from gsvis.scene.source import Source
 
-__all__ = ["Settled", "settle", "settle_space"]
+__all__ = ["Settled", "settle", "settle_space", "settle_visit", "write_picture"]
+
+if TYPE_CHECKING:
+    from gsvis.export.start import Visit
 
 _WORDS = {kind: word for word, kind in KINDS.items()}
 _TRIES = 3  # answers that nobody understands
@@ -102,7 +107,7 @@ def settle(
         place = find(where)
         if "kind" in answer:
             break
-    target = place_beside(beside) if place.doubt else None
+    target = _place_beside(beside) if place.doubt else None
     if where.show is not None:
         target = Path(where.show)
     if target is not None and place.space is not None:
@@ -147,6 +152,58 @@ def settle_space(
         )
         space = settled.place.required(remedy)
         return settled, space, [*settled.remarks, *suspect_views(source.gaussians, space)]
+
+
+def settle_visit(
+    where: Shown, source: Source, walk: HeadPath | None, status: Status, *, quiet: bool
+) -> tuple[Shown, Visit]:
+    """Return how a visit begins after a question on a terminal in doubt, and the options with the answers in them.
+
+    Args:
+        where: The options.
+        source: The scene.
+        walk: The walk of --path.
+        status: The display of progress, which pauses for the question.
+        quiet: Ask nothing, as with --json.
+
+    Raises:
+        SceneError: If no eye fits where the user said that eyes are.
+        OutputError: If the picture of --show cannot be written.
+        KeyboardInterrupt: If the user presses Ctrl-C at the question.
+    """
+    from gsvis.export.start import plan_visit
+
+    some = source.thin()
+    status("start", 0, 1)
+    settled = settle(where, source, lambda w: find_place(some, w, walk), status, quiet=quiet)
+    if where.given or where.kind not in (None, "auto"):
+        settled.place.required("leave it out, or say where eyes may be with --box or --around")
+    visit = replace(plan_visit(some, settled.place, parse_up(settled.where.up)), remarks=settled.remarks)
+    status("start", 1, 1)
+    return settled.where, visit
+
+
+def write_picture(path: Path, source: Source, place: Place) -> None:
+    """Write the picture, complete or not at all.
+
+    Raises:
+        OutputError: If it cannot be written.
+    """
+    from gsvis.report.readings import picture_of  # slow to import
+
+    png = picture_of(source, place)
+    with atomic_path(path) as partial:
+        partial.write_bytes(png)
+
+
+def _place_beside(out: str | None) -> Path | None:
+    """Return the path of the picture that is written in doubt; None without an output."""
+    if out is None:
+        return None
+    target = Path(out).absolute()
+    folder = next(each for each in target.parents if each.is_dir())  # a dry run makes no folder
+    beside = Path(out).parent if folder == target.parent else folder
+    return beside / (target.name + ".where.png")
 
 
 def _may_ask(where: Shown) -> bool:

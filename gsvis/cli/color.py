@@ -6,35 +6,35 @@ import math
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from gsvis._extras import require
+from gsvis._extras import remedy_of, require
 from gsvis.cli import version
 from gsvis.cli.arguments import Color
-from gsvis.cli.color_result import print_result
-from gsvis.cli.kernels import warm_colors
 from gsvis.cli.memory import check_memory
 from gsvis.cli.options import Fit, command_line, config_of, refuse, values_of
-from gsvis.cli.source import Source, check_source, inputs_of, inspect_scene_of, open_source, spaces_of_build
+from gsvis.cli.source import inspect_scene_of, levels_spelled, open_source, summarize_levels
+from gsvis.cli.stopping import resumable
 from gsvis.cli.targets import check_exists, check_report
-from gsvis.cli.terminal import Status
-from gsvis.cli.where import check_where, find_place, suspect_views
+from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
+from gsvis.cli.where import check_where, find_place, kind_row, space_document, suspect_views
 from gsvis.color.epsilon import DEFAULT_EPSILON
-from gsvis.errors import OutputError, SceneError
+from gsvis.errors import SceneError
 from gsvis.files.limits import open_regular
 from gsvis.files.output import check_file
+from gsvis.io.sources import check_source, inputs_of
+from gsvis.prepare.warm import warm_colors
 from gsvis.pvs.store import VisibilityStore
-from gsvis.scene.content import space_hash
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
+from gsvis.scene.source import Source
 
 if TYPE_CHECKING:
     from gsvis.color.fit import FitConfig
     from gsvis.prepare.colors import ColorConfig
     from gsvis.prepare.fitted_colors import FittedColors
     from gsvis.prepare.scene_colors import ColorOutputs
+    from gsvis.scene.navigable import NavigableSpace
 
 __all__ = ["fit_config", "run_color"]
 
@@ -63,7 +63,7 @@ def run_color(command: Color) -> None:
         plan = _plan(command, config, store, walk, status)
         fitted = _run(command, plan, status)
         seconds = dict(status.seconds)
-    print_result(command, plan.source, plan.space, fitted, plan.remarks, seconds)
+    _print_result(command, plan.source, plan.space, fitted, plan.remarks, seconds)
 
 
 def _check_arguments(command: Color) -> ColorConfig:
@@ -117,7 +117,7 @@ def _check_no_input(name: str, path: str, command: Color) -> None:
     if target.is_file() and target.stat().st_size > 0:
         with open_regular(target) as file:
             head = file.read(6)
-        if not head.startswith(b"ARROW1"):
+        if head != b"ARROW1":
             raise ValueError(
                 f"--{name}: expected a new file or an Arrow file to replace, got {path}, which is something else;"
                 " name another"
@@ -128,6 +128,8 @@ def _plan(
     command: Color, config: ColorConfig, store: VisibilityStore | None, walk: HeadPath | None, status: Status
 ) -> _Plan:
     """Read the scene and find its navigable space."""
+    from gsvis.pvs.quality import space_of_store
+
     source = open_source(command.scene, command.lod, status, "color")
     g = source.gaussians
     remarks: list[str] = []
@@ -135,7 +137,7 @@ def _plan(
     with status.stage("space"):
         if store is not None:
             store.check_scene(source.whole)
-            space = _space_of(store, source)
+            space = space_of_store(store, source.spaces_of_build(store.grid.up), source.gaussians)
             why_not = ""
         else:
             place = find_place(source, command.where, walk)
@@ -153,24 +155,6 @@ def _plan(
     return _Plan(source, store, space, config, remarks)
 
 
-def _space_of(store: VisibilityStore, source: Source) -> NavigableSpace:
-    """Return the navigable space that visible sets were built in, or the closest one that their cells allow."""
-    spaces = list(spaces_of_build(source, store.grid.up))
-    for space in spaces:
-        if store.info.config.get("space") == space_hash(space):
-            return space
-    for space in spaces:
-        voxels = np.argwhere(space.free)
-        held = voxels[store.grid.cell_at(space.origin + space.voxel_size * (voxels + 0.5)) >= 0]
-        if np.array_equal(space.origin, store.grid.origin) and len(held):
-            free = np.zeros_like(space.free)
-            free[tuple(held.T)] = True
-            return replace(space, free=free, rule=f"{space.rule}, in the cells")
-    from gsvis.pvs.quality import box_space
-
-    return box_space(store.grid, source.gaussians)
-
-
 def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
     """Fit the colors and write all files; return the fitted colors."""
     from gsvis.prepare.scene_colors import color_scene
@@ -182,13 +166,9 @@ def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
     outputs = _outputs(command)
     fitted = color_scene(source.whole, plan.space, out, outputs, config=plan.config, store=plan.store, progress=status)
     plan.remarks.extend(_remarks(command, plan, outputs, fitted))
-    try:
+    with resumable(f"{out} is written", "what else was asked for may not be"):
         if fitted.quality is not None and command.report is not None:
             _write_report(command, plan, fitted, status)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"{out} is written, what else was asked for may not be") from None
-    except OutputError as error:
-        raise error.keeping(f"{out} is written") from error
     return fitted
 
 
@@ -230,6 +210,7 @@ def _remarks(command: Color, plan: _Plan, outputs: ColorOutputs, fitted: FittedC
 
 
 def _write_report(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> None:
+    """Write the report of --report."""
     from gsvis.report import Subject  # imports matplotlib
     from gsvis.report.color_document import write_color_report
 
@@ -247,3 +228,114 @@ def _write_report(command: Color, plan: _Plan, fitted: FittedColors, status: Sta
         seconds=dict(status.seconds),
     )
     write_color_report(command.report, fitted, subject, progress=status)
+
+
+def _print_result(
+    command: Color,
+    source: Source,
+    space: NavigableSpace | None,
+    fitted: FittedColors,
+    remarks: list[str],
+    seconds: dict[str, float],
+) -> None:
+    """Print the result.
+
+    Args:
+        command: The arguments.
+        source: The scene.
+        space: Where eyes may be; None where none was needed.
+        fitted: The fitted colors.
+        remarks: Lines for people.
+        seconds: How long each stage took.
+    """
+    document = fitted.as_dict()
+    if command.output.json:
+        about: dict[str, Any] = {
+            "format": "gsvis-color",
+            "version": 1,
+            "scene": source.name,
+            "lod": source.lod,
+            "out": command.out,
+        }
+        about["levels"] = summarize_levels(source)
+        about["space"] = None if space is None else space_document(space)
+        about["remarks"] = [each.strip() for each in remarks]
+        written = {"active": command.active, "report": command.report}
+        print_json({**about, **written, **document, "seconds": seconds})
+        return
+    lines = list(remarks)
+    if document["quality"]:
+        looked = document["quality"]
+        lines.append(
+            f" Compared in {looked['views']} views that the fit did not use, {looked['width']} x {looked['height']}"
+            " pixels each."
+        )
+        if "flip" not in looked["all_terms"]:
+            lines.append(f" FLIP was not asked: {remedy_of('flip_evaluator')}.")
+    if command.report is not None and Path(command.report, "report.html").exists():
+        lines.append(f" Report: {Path(command.report) / 'report.html'}")
+    total = sum(seconds.values())
+    kind = [] if space is None else [kind_row(space)]
+    parts: list[Any] = [facts(source.name, [*_rows(command, source, document), *kind, ("time", clock(total))])]
+    if document["quality"]:
+        parts.append(facts("", _likeness(document["quality"]), _header(document["quality"])))
+    show(*parts, *lines)
+
+
+def _rows(command: Color, source: Source, document: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the rows of the table about colors."""
+    terms = document["terms"]
+    sizes = document["bytes_per_gaussian"]
+    seen = document["directions"]
+    rows = [
+        ("Gaussians", f"{document['gaussians']:,}{levels_spelled(source)}, SH degree {document['sh_degree']}"),
+        ("directions", f"{seen['from']}; {seen['mean_share']:.1%} on average"),
+    ]
+    if seen["without_any"]:
+        rows.append(("seen from nowhere", f"{seen['without_any']:,}: they get base colors"))
+    rows.append(("terms", f"{terms['mean']:.2f} a Gaussian on average, variant {document['variant']}"))
+    if terms["total"]:
+        text = f"{terms['share_none']:.1%}, {terms['share_1_to_4']:.1%}, {terms['share_more']:.1%}"
+        rows.append(("no term, 1 to 4, more", f"{text} of the Gaussians"))
+    compared = ", ".join(f"{sizes[f'sh_{bits}']:g} with {bits} bits" for bits in (32, 16, 8))
+    rows += [
+        ("bytes of a color", f"{sizes['records']:.1f} as {document['precision']} records; SH: {compared}"),
+        ("file", f"{Path(command.out).name}, {size_of(document['file_bytes'])} with geometry"),
+    ]
+    if document["epsilon"]:
+        rows.append(("epsilon", _epsilon(document["epsilon"])))
+    cells = document["active_in_cells"]
+    if cells:
+        share = cells["share_of_all"]
+        text = f"{share['mean']:.1%} of all terms; {share['min']:.1%} to {share['max']:.1%}"
+        rows.append(("active in a cell", text))
+    return rows
+
+
+def _epsilon(found: dict[str, Any]) -> str:
+    """Return epsilon as text, with how it was found."""
+    if found["from"] == "given":
+        return f"{found['value']:g}, as given"
+    interval = found["interval"]
+    spread = f" ({interval[0]:.2g} to {interval[1]:.2g})" if interval else ""
+    return f"{found['value']:.3g}{spread}, by FLIP in {found['trials']} trials"
+
+
+def _header(quality: dict[str, Any]) -> tuple[str, ...]:
+    """Return the header of the table of quality."""
+    names = ["PSNR", "worst", "SSIM", "worst"]
+    if "flip" in quality["all_terms"]:
+        names += ["FLIP", "worst"]
+    return ("against SH", *names)
+
+
+def _likeness(quality: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return the rows of the table of quality: all terms, and base colors alone."""
+    rows = []
+    for name, key in (("all terms", "all_terms"), ("base colors alone", "base_only")):
+        row = [name]
+        for measure, digits in (("psnr", 1), ("ssim", 4), ("flip", 4)):
+            if measure in quality[key]:
+                row += [f"{quality[key][measure][which]:.{digits}f}" for which in ("mean", "worst")]
+        rows.append(tuple(row))
+    return rows

@@ -12,18 +12,19 @@ from numpy.typing import NDArray
 
 from gsvis.cli.arguments import Convert
 from gsvis.cli.memory import check_memory
-from gsvis.cli.source import Source, check_source, is_builtin, is_levels, load_source, title_of, up_of
+from gsvis.cli.spelling import is_number
 from gsvis.cli.targets import check_scene_out
 from gsvis.cli.terminal import Status, print_json, show
-from gsvis.cli.visits import Visit, find_starts, plan_visit
 from gsvis.io.batches import Batch, list_batches
 from gsvis.io.convert import AXES, convert_scene, merge_scenes, rotation_about_axes
 from gsvis.io.convert_batches import convert_batches
 from gsvis.io.ksplat import save_ksplat
 from gsvis.io.scenes import check_scene, save_scene
+from gsvis.io.sources import check_source, is_builtin, is_levels, load_source, title_of
 from gsvis.io.spz import save_spz
 from gsvis.scene.axes import axis_vector
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.source import Source
 
 __all__ = ["run_convert"]
 
@@ -119,6 +120,7 @@ def _convert_batches(
 def _print_result(
     command: Convert, out: str, target: Path, inputs: list[_Input], gaussians: int, sh_degree: int
 ) -> None:
+    """Print what was written, as a line or as JSON."""
     size = target.stat().st_size
     before = sum(each.gaussians for each in inputs)
     if command.output.json:
@@ -133,7 +135,7 @@ def _split_paths(command: Convert) -> tuple[tuple[str, ...], str]:
     """Return the scenes to read and the file to write."""
     paths = command.paths
     for path in paths:
-        if _is_number(path) and not Path(path).exists():
+        if is_number(path) and not Path(path).exists():
             raise ValueError(
                 f"IN: expected a scene, got {path}; --translate and --rotate take three numbers, --scale one"
             )
@@ -172,14 +174,6 @@ def _check_inputs(scenes: tuple[str, ...], lods: tuple[int, ...] | None) -> list
     return found
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def _check_options(command: Convert, target: Path) -> None:
     """Raise if an option is given that the format of OUT does not know, or the viewer of a page is not built."""
     suffix = target.suffix.lower()
@@ -213,7 +207,7 @@ def _read(
     merged = merge_scenes(parts)
     known = [axis for axis in axes if axis is not None]
     agree = len(known) == len(axes) and all(np.array_equal(axis, known[0]) for axis in known)
-    return inputs, merged, up_of(Source("", merged, known_up=known[0] if agree else None))
+    return inputs, merged, Source("", merged, known_up=known[0] if agree else None).up
 
 
 def _degree(command: Convert, target: Path, scene: Gaussians, status: Status) -> int:
@@ -226,6 +220,7 @@ def _degree(command: Convert, target: Path, scene: Gaussians, status: Status) ->
 
 
 def _write(command: Convert, target: Path, scene: Gaussians) -> None:
+    """Write the scene in the format of OUT."""
     if command.compact:
         save_spz(scene, target, compact=True)
     elif command.ksplat_compression is not None:
@@ -245,6 +240,7 @@ def _write_page(target: Path, name: str, scene: Gaussians, up: NDArray[np.float6
         status: Shows the progress.
     """
     from gsvis.export import StaticOptions, write_html
+    from gsvis.export.start import Visit, find_starts, plan_visit
 
     status("start", 0, 1)
     if up is None:
@@ -260,6 +256,7 @@ def _write_page(target: Path, name: str, scene: Gaussians, up: NDArray[np.float6
 
 
 def _document(command: Convert, out: str, inputs: list[_Input], gaussians: int, sh_degree: int) -> dict[str, Any]:
+    """Return the result as JSON."""
     alone = inputs[0] if len(inputs) == 1 else None
     return {
         "format": "gsvis-conversion",

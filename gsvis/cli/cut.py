@@ -9,18 +9,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gsvis.cli.arguments import Cut
-from gsvis.cli.kernels import warm_sets
 from gsvis.cli.options import config_of
-from gsvis.cli.source import Source, check_source, file_cameras, framed_cameras, open_source
+from gsvis.cli.source import open_source
 from gsvis.cli.targets import check_one_level, check_outputs, check_scene_out, write_array
 from gsvis.cli.terminal import Status, print_json, show, size_of
-from gsvis.cli.where import check_where, find_place, space_document
+from gsvis.cli.where import check_where, find_place, framed_cameras, space_document
 from gsvis.errors import SceneError
+from gsvis.io.cameras import load_cameras_at
 from gsvis.io.scenes import save_scene
+from gsvis.io.sources import check_source
+from gsvis.prepare.warm import warm_sets
 from gsvis.raycast import describe_check
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
+from gsvis.scene.source import Source
 
 if TYPE_CHECKING:
     from gsvis.edit import Cut as Found
@@ -80,6 +83,7 @@ def _check_arguments(command: Cut) -> HeadPath | None:
 
 
 def _config(command: Cut) -> CutConfig:
+    """Return the settings of the cut from the options."""
     from gsvis.edit import CutConfig
 
     usual = CutConfig()
@@ -102,7 +106,7 @@ def _place_eyes(command: Cut, source: Source, walk: HeadPath | None) -> _Eyes:
     from gsvis.edit import EyesInSpace, EyesOfCameras
 
     if command.where.cameras is not None:
-        cameras = file_cameras(command.where.cameras, None, None, at_most=_WIDEST)
+        cameras = load_cameras_at(command.where.cameras, None, None, at_most=_WIDEST)
         cameras, framed = framed_cameras(source, cameras, command.where)
         words = f"{len(cameras):,} cameras"
         if command.where.margin is not None:
@@ -123,6 +127,7 @@ def _place_eyes(command: Cut, source: Source, walk: HeadPath | None) -> _Eyes:
 
 
 def _cut(g: Gaussians, place: _Eyes, config: CutConfig, status: Status) -> Found:
+    """Return what the eyes see."""
     from gsvis.edit import cut
     from gsvis.pvs.config import PvsConfig
 
@@ -134,6 +139,7 @@ def _cut(g: Gaussians, place: _Eyes, config: CutConfig, status: Status) -> Found
 
 
 def _show_result(command: Cut, source: Source, place: _Eyes, found: Found) -> None:
+    """Print what was kept, as lines or as JSON."""
     size = Path(command.out).stat().st_size
     if command.output.json:
         document: dict[str, Any] = {
@@ -161,11 +167,13 @@ def _show_result(command: Cut, source: Source, place: _Eyes, found: Found) -> No
 
 
 def _spell_looks(found: Found) -> str:
+    """Return a sentence about the places looked from."""
     lost = f"; {found.buried:,} more lie inside something solid" if found.buried else ""
     return f"Looked from {found.looks:,} places{lost}."
 
 
 def _spell_certificate(found: Found) -> str:
+    """Return two sentences about the light that is missing."""
     return (
         f"They carry {1.0 - found.missed:.3%} of the light; with 95% confidence at most {found.bound:.3%} is missing,"
         f" by {found.rays:,} random rays of these eyes. A second tracer agrees: {describe_check(found.check)}."
@@ -173,6 +181,7 @@ def _spell_certificate(found: Found) -> str:
 
 
 def _spell_views(found: Found) -> str:
+    """Return a sentence about held-out views."""
     views = found.held_out
     assert views is not None
     added = f"; {views.added:,} Gaussians were added because of views before" if views.added else ""

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsvis._text import as_line
 from gsvis.cli.arguments import Export
+from gsvis.cli.asking import settle_visit
 from gsvis.cli.options import PLACING, changed
-from gsvis.cli.source import Source, check_source, is_builtin, open_source, parse_up, title_of, up_to_turn
+from gsvis.cli.source import open_source
 from gsvis.cli.targets import check_exists, check_new
-from gsvis.cli.terminal import Status, print_json, show, size_of
-from gsvis.cli.visits import settle_visit
-from gsvis.cli.where import check_where
+from gsvis.cli.terminal import Status, facts, print_json, show, size_of
+from gsvis.cli.where import check_where, parse_up
 from gsvis.files.origins import parse_origins
 from gsvis.files.output import check_file, check_folder
-from gsvis.package.manifest import MANIFEST
+from gsvis.io.sources import check_source, is_builtin, title_of
+from gsvis.package.shown import is_package
+from gsvis.scene.source import Source
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from gsvis.export import StreamedReport, TilesReport
     from gsvis.package import Package
     from gsvis.scene.gaussians import Gaussians
     from gsvis.scene.levels import Levels
@@ -80,18 +84,6 @@ def run_export(command: Export) -> None:
         show(f"Serve it from any file server, such as: python -m http.server -d {command.out}")
 
 
-def _export_leaves(command: Export) -> None:
-    """Write a scene as streamed SOG, 3D Tiles or one GLB, and print what it takes."""
-    from gsvis.cli.export_leaves import print_leaves, write_leaves
-    from gsvis.pvs.store import VisibilityStore
-
-    with ExitStack() as stack, Status() as status:
-        store = None if command.pvs is None else stack.enter_context(VisibilityStore.open(command.pvs))
-        scene, name, up, _ = _open_scene(command, stack, status)
-        found = write_leaves(command, scene, store, name, up, status)
-    print_leaves(command, found)
-
-
 def _check_options(command: Export) -> HeadPath | None:
     """Raise if an option is given that the format does not know, or that needs another; return the walk of --path."""
     leaves = ("streamed-sog", "3dtiles")
@@ -113,7 +105,7 @@ def _check_options(command: Export) -> HeadPath | None:
             known = " or ".join(formats)
             raise ValueError(f"{option}: expected --format {known} with it, got {command.format}; leave it out")
     walk = check_where(command.where)
-    sets = command.pvs is not None or (Path(command.scene) / MANIFEST).is_file()
+    sets = command.pvs is not None or is_package(command.scene)
     if command.request_volumes and not sets:
         raise ValueError("--request-volumes: expected a package or --pvs FILE with it, got neither; see gsvis pvs")
     check_exists(command.pvs)
@@ -121,6 +113,7 @@ def _check_options(command: Export) -> HeadPath | None:
 
 
 def _detail(terms: int, cells: int) -> str:
+    """Return the terms and cells of a static scene as text."""
     sees = f"{cells:,} cells" if cells > 1 else "no visible sets"
     return f"{terms:,} terms, {sees}" if terms else sees
 
@@ -170,7 +163,7 @@ def _open_scene(
 ) -> tuple[Package | Levels | Gaussians, str, Triple | None, Source | None]:
     """Return the package or scene of a command, its name, its up axis if that is known, and how a scene was read."""
     up = parse_up(command.where.up)
-    if (Path(command.scene) / MANIFEST).is_file():
+    if is_package(command.scene):
         from gsvis.package import Package
 
         for option, words in changed(command, ("lod", *_PLACING)).items():
@@ -180,11 +173,95 @@ def _open_scene(
     check_source(command.scene, command.lod)
     source = open_source(command.scene, command.lod, status)
     name = as_line(command.name or title_of(command.scene, source.lod))
-    return source.whole, name, _triple(up_to_turn(source) if up is None else up), source
+    return source.whole, name, _triple(source.steady_up if up is None else up), source
 
 
 def _triple(vector: NDArray[np.float64] | None) -> Triple | None:
+    """Return a vector as three numbers; None without one."""
     if vector is None:
         return None
     x, y, z = vector.tolist()
     return x, y, z
+
+
+def _export_leaves(command: Export) -> None:
+    """Write a scene as streamed SOG, 3D Tiles or one GLB, and print what it takes; the target has been checked."""
+    from gsvis.pvs.store import VisibilityStore
+
+    with ExitStack() as stack, Status() as status:
+        store = None if command.pvs is None else stack.enter_context(VisibilityStore.open(command.pvs))
+        scene, name, up, _ = _open_scene(command, stack, status)
+        if store is not None and command.where.up is None:
+            up = None  # the visible sets know it
+        found = _write(command, scene, store, name, up, status)
+    if command.output.json:
+        about = {"format": "gsvis-export", "version": 1, "in": command.scene, "out": command.out}
+        listed = {key: value for key, value in asdict(found).items() if key not in ("path", "nbytes")}
+        print_json({**about, "kind": command.format, "bytes": found.nbytes, **listed})
+    elif command.format == "glb":
+        degree = f"SH degree {found.sh_degree}"
+        show(f"{command.out}: {found.gaussians:,} Gaussians, {degree}, {size_of(found.nbytes)}")
+    elif command.format == "3dtiles":
+        show(facts(f"{command.out}: {found.tiles:,} tiles, {size_of(found.nbytes)}", _tiles_rows(found)))
+        show(f"Show it: CesiumJS opens {command.out}/tileset.json (docs/how-to/tiles.md)")
+    else:
+        show(facts(f"{command.out}: {found.leaves:,} leaves, {size_of(found.nbytes)}", _streamed_rows(found)))
+        show(f"Show it: examples/streamed, or any viewer that opens {command.out}/lod-meta.json")
+
+
+def _write(command: Export, scene: Any, store: Any, name: str, up: Triple | None, status: Status) -> Any:
+    """Write the scene in the format of the command; return the report of the writer."""
+    from gsvis.export import StreamedOptions, TilesOptions, write_glb, write_streamed_sog, write_tiles
+    from gsvis.export.leaves import LEAF
+
+    leaf = command.leaf or LEAF
+    more: dict[str, Any] = {"visibility": store, "overwrite": command.overwrite, "progress": status}
+    if command.format == "streamed-sog":
+        streamed = StreamedOptions(leaf=leaf, never_seen=command.never_seen, name=name, up=up)
+        return write_streamed_sog(command.out, scene, streamed, **more)
+    single = command.format == "glb"
+    options = TilesOptions(
+        leaf=leaf,
+        never_seen=command.never_seen,
+        compression=("none" if single else "spz") if command.compression == "auto" else command.compression,
+        request_volumes=command.request_volumes,
+        up=up,
+        meters_per_unit=command.meters_per_unit,
+    )
+    if single:
+        return write_glb(command.out, scene, options, progress=status)
+    return write_tiles(command.out, scene, options, **more)
+
+
+def _streamed_rows(found: StreamedReport) -> list[tuple[str, str]]:
+    """Return the rows of the table about a streamed SOG."""
+    sizes = ", ".join(f"{n:,}" for n in found.counts)
+    rows = [("Gaussians, finest level first", sizes)]
+    if found.environment:
+        rows.append(("far outside, drawn always", f"{found.environment:,}"))
+    share = found.sidecar_nbytes / found.nbytes
+    if found.cells == 0:
+        rows.append(("visible sets", "none: leaves are ordered by size (gsvis pvs finds them, --pvs gives them)"))
+    else:
+        rows.append(("a cell needs, on average", f"{100 * found.needed:.1f}% of the finest level"))
+    if found.never_seen is not None:
+        done = "left out" if found.dropped else "kept"
+        rows.append(("never seen from any cell", f"{found.never_seen:,}, {done}"))
+    rows.append((f"sidecar {found.sidecar}", f"{size_of(found.sidecar_nbytes)}, {100 * share:.2f}% of all bytes"))
+    return rows
+
+
+def _tiles_rows(found: TilesReport) -> list[tuple[str, str]]:
+    """Return the rows of the table about a tileset."""
+    rows = [("Gaussians, finest level first", ", ".join(f"{n:,}" for n in found.counts))]
+    if found.environment:
+        rows.append(("far outside, a tile of their own", f"{found.environment:,}"))
+    if found.never_seen is not None:
+        done = "left out" if found.dropped else "kept"
+        rows.append(("never seen from any cell", f"{found.never_seen:,}, {done}"))
+    if found.volumes or found.unneeded:
+        rows.append(("leaves with a request volume", f"{found.volumes:,} of {found.leaves:,}"))
+        rows.append(("leaves that no cell needs", f"{found.unneeded:,}, left out"))
+        asked, exact = (f"{100 * share:.1f}%" for share in (found.requested, found.needed))
+        rows.append(("a cell requests, on average", f"{asked} of the finest level; it needs {exact}"))
+    return rows

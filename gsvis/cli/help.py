@@ -179,12 +179,12 @@ def _importance(command: str, leaf: Leaf) -> int:
 
 
 def option_texts(kind: type) -> dict[str, str]:
-    """Return the text of each argument of a command, one line each: its own, or the string below the field."""
+    """Return the text of each argument of a command, in one line: its own, that of its field, or a shared one."""
     from gsvis.cli.options import leaves
 
     found = leaves(kind)
     below = {owner: _strings_below_fields(owner) for owner in dict.fromkeys(leaf.owner for leaf in found)}
-    return {leaf.name: leaf.text or below[leaf.owner][leaf.name] for leaf in found}
+    return {leaf.name: leaf.text or below[leaf.owner].get(leaf.name) or str(leaf.shared) for leaf in found}
 
 
 def _strings_below_fields(kind: type) -> dict[str, str]:

@@ -74,6 +74,7 @@ def band_lines(bands: Sequence[Band], *, width: int = 79, blocks: bool = True) -
 
 
 def _bars(rows: list[tuple[str, int]], width: int, blocks: bool) -> Iterator[str]:
+    """Yield a line with a bar for each row."""
     total = sum(n for _, n in rows) or 1
     most = max((n for _, n in rows), default=0) or 1
     size = width - _LABEL - _SHARE - 4
@@ -93,5 +94,6 @@ def _bar(share: float, size: int, blocks: bool) -> str:
 
 
 def _value(edge: float, is_log: bool) -> str:
+    """Return an edge as text; a logarithm as the value that it is of."""
     value = 10.0 ** min(edge, 300.0) if is_log else edge
     return f"{value:,.0f}" if 99.5 <= value < 1e5 else f"{value:.2g}"

@@ -7,15 +7,16 @@ from typing import Any
 
 from gsvis.cli.arguments import Inspect
 from gsvis.cli.histograms import TITLES, band_lines, can_draw_blocks, histogram_lines, line_width
-from gsvis.cli.shown import judged_of, load_shown
-from gsvis.cli.source import Source, inspect_scene_of, open_source
+from gsvis.cli.source import inspect_scene_of, open_source
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, find_place, flyaway_remarks, space_document, suspect_views
 from gsvis.io.facts import facts_to_json
+from gsvis.package.shown import judged_of, load_shown
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.histograms import Band, Histogram, measure_bands, measure_histograms
 from gsvis.scene.lengths import spell_point
 from gsvis.scene.paths import HeadPath
+from gsvis.scene.source import Source
 
 __all__ = ["run_inspect"]
 
@@ -69,6 +70,7 @@ def _space(command: Inspect, source: Source, walk: HeadPath | None) -> tuple[dic
 
 
 def _rows(source: Source, report: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the rows of the table."""
     rows = [("Gaussians", f"{report['count']:,}"), ("SH degree", str(report["sh_degree"]))]
     if source.lods:
         rows.append(("LODs present", ", ".join(map(str, source.lods))))
@@ -110,6 +112,7 @@ def _known(known: SceneFacts) -> list[tuple[str, str]]:
 
 
 def _verdict(problems: list[str]) -> list[str]:
+    """Return lines that list what looks wrong."""
     if not problems:
         return [" Nothing looks wrong."]
     return [" What looks wrong:", *(f" - {problem}" for problem in problems)]
@@ -124,8 +127,10 @@ def _box(name: str, corners: list[list[float]]) -> list[tuple[str, str]]:
 
 
 def _quantiles(found: dict[str, float]) -> str:
+    """Return quantiles as text."""
     return f"median {found['p50']:.3g}, p10 {found['p10']:.3g}, p90 {found['p90']:.3g}, max {found['max']:.3g}"
 
 
 def _suffix(path: Path) -> str:
+    """Return the suffix of a scene file as text."""
     return "".join(path.suffixes[-2:]) if path.name.endswith(".compressed.ply") else path.suffix or "no suffix"

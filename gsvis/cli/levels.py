@@ -5,44 +5,47 @@ from __future__ import annotations
 import math
 import os
 import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gsvis._extras import require
+from gsvis.cli import version
 from gsvis.cli.arguments import Levels
 from gsvis.cli.asking import settle_space
-from gsvis.cli.image_size import image_size
-from gsvis.cli.kernels import warm_levels
-from gsvis.cli.levels_result import print_result, record_of
 from gsvis.cli.memory import check_memory, machine_memory, training_grows
-from gsvis.cli.options import refuse
-from gsvis.cli.source import Source, check_source, open_source, parse_up
-from gsvis.cli.stopping import between_steps
+from gsvis.cli.options import image_size, naming, refuse
+from gsvis.cli.source import open_source
+from gsvis.cli.stopping import between_steps, resumable
 from gsvis.cli.targets import check_exists
-from gsvis.cli.terminal import Status
-from gsvis.cli.where import check_where
-from gsvis.errors import ArgumentError, FormatError, OutputError
-from gsvis.files.atomic import find_interrupted_moves
+from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
+from gsvis.cli.where import check_where, kind_row, parse_up, space_document
+from gsvis.errors import FormatError
 from gsvis.files.output import check_folder
-from gsvis.io.levels import MAP, check_names, levels_info, load_levels, save_levels
+from gsvis.io.levels import MAP, check_levels_target, check_names, load_levels, save_levels
+from gsvis.io.sources import check_source
+from gsvis.prepare.warm import warm_levels
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels as SceneLevels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
+from gsvis.scene.source import Source
 
 if TYPE_CHECKING:
     from gsvis.cli.options import Levels as Training
+    from gsvis.scene.navigable import NavigableSpace
     from gsvis.scene.view_sampling import ViewSampling
     from gsvis.train.level_views import LevelViews
     from gsvis.train.levels import LevelsConfig, TrainedLevels
 
 __all__ = [
+    "SHARES",
     "check_views",
     "image_bytes",
     "level_image_size",
     "levels_config",
-    "named_option",
     "run_levels",
     "view_sampling",
 ]
@@ -55,7 +58,11 @@ _FOV = 2.0 * math.degrees(math.atan(240.0 / 300.0))
 _NAMES = {1: ("low", "high"), 2: ("low", "medium", "high")}
 _REUSE = (0.90, 0.96)  # for each level; the last repeats
 _LEAST_SIDE = 16  # pixels; SSIM needs 11
+SHARES = {"shares": "--levels; larger shares, or a finer --lod"}
+"""The option of the argument of `LevelsConfig` that states sizes."""
+
 _MEMORY_SHARE = 0.5  # share of the machine's memory for images
+_MOST_OVERHEAD = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +98,7 @@ def run_levels(command: Levels) -> None:
         warm_levels(config, status)
         trained, record = _run(plan.command, plan, status)
         seconds = dict(status.seconds)
-    print_result(command, trained.levels, record, plan.space, plan.remarks, seconds)
+    _print_result(command, trained.levels, record, plan.space, plan.remarks, seconds)
 
 
 def _begun(work: Path) -> bool:
@@ -102,8 +109,12 @@ def _begun(work: Path) -> bool:
     return (work / SUBSETS).exists() or (work / ROUNDS).exists()
 
 
-def _target(out: str) -> Path:
-    return Path(os.path.abspath(out))
+def _begun_or_removed(work: Path) -> bool:
+    """Return whether a folder of unfinished work holds anything to resume from; remove it otherwise."""
+    if not _begun(work):
+        shutil.rmtree(work, ignore_errors=True)
+        return False
+    return True
 
 
 def _check_arguments(command: Levels) -> LevelsConfig:
@@ -118,7 +129,7 @@ def _check_arguments(command: Levels) -> LevelsConfig:
         raise ValueError(f"{name}: expected at least {_LEAST_SIDE} pixels, got {got}")
     config = levels_config(command.training, command.seed)
     check_folder(command.out)
-    check_folder(_target(command.out).parent)  # unfinished work is kept there
+    check_folder(Path(os.path.abspath(command.out)).parent)  # unfinished work is kept there
     _check_target(command, config.level_names)
     images = 0
     if command.training.photos is None:
@@ -158,16 +169,18 @@ def levels_config(training: Training, seed: int) -> LevelsConfig:
     names = training.names or _NAMES.get(lower) or (*(f"level{k}" for k in range(lower)), "high")
     reuse = training.reuse or (*_REUSE[:lower], *_REUSE[-1:] * (lower - len(_REUSE)))
     try:
-        config = LevelsConfig(shares, reuse, names, training.steps, seed=seed)
-        if training.preview is not None:  # also in a small scene
-            config = replace(config, preview=training.preview, preview_from=0)
-        check_names(names)
+        with naming(shares="--levels"):
+            config = LevelsConfig(shares, reuse, names, training.steps, seed=seed)
+            if training.preview is not None:  # also in a small scene
+                config = replace(config, preview=training.preview, preview_from=0)
+            check_names(names)
     except ValueError as error:
-        raise named_option(error) from None
+        raise ValueError(f"--{str(error).removeprefix('--')}") from None
     return config
 
 
 def _held_out(command: Levels) -> int:
+    """Return the number of held-out views."""
     return _HELD_OUT if command.training.held_out is None else command.training.held_out
 
 
@@ -197,10 +210,8 @@ def _plan(command: Levels, config: LevelsConfig, walk: HeadPath | None, status: 
     source = open_source(command.scene, command.lod, status, "make levels of")
     g = source.gaussians
     config = config.fit_to(len(g))
-    try:
+    with naming(**SHARES):
         config.sizes(len(g))
-    except ValueError as error:
-        raise named_option(error) from None
     _check_replaced(command, g)
     space: NavigableSpace | None = None
     remarks: list[str] = []
@@ -218,7 +229,7 @@ def _plan(command: Levels, config: LevelsConfig, walk: HeadPath | None, status: 
         )
     from gsvis.prepare.levels import find_levels_work
 
-    work = find_levels_work(_target(command.out), g, drawn, config)
+    work = find_levels_work(os.path.abspath(command.out), g, drawn, config)
     if _begun(work):
         status.line(f"resuming from {work.name}, which an earlier run left")
         remarks.append(" It resumed from what an earlier run had kept; the time is that of this run alone.")
@@ -227,34 +238,21 @@ def _plan(command: Levels, config: LevelsConfig, walk: HeadPath | None, status: 
 
 def _check_target(command: Levels, names: tuple[str, ...]) -> None:
     """Raise, before work begins, if a file that is not a level would be replaced: a typo must not destroy a scene."""
-    folder = _target(command.out)
-    files = {name: folder / f"{name}.ply" for name in names}
-    for file in files.values():
+    for name in names:
+        file = Path(command.out, f"{name}.ply")
         if file.exists() and Path(command.scene).exists() and file.samefile(command.scene):
             raise ValueError(f"--out: expected a folder of its own, got {command.out}, whose {file.name} is read")
-    known = find_interrupted_moves(folder)
-    if (folder / MAP).exists():
-        wanted = f"--out: expected a new folder, or levels of this scene to replace, got {command.out}"
-        try:
-            known |= {*levels_info(folder).files}
-        except FormatError as error:
-            raise ValueError(f"{wanted}, which cannot be read ({error}); name another, or delete it") from None
-    for file in files.values():
-        if file.exists() and file.name not in known:
-            raise ValueError(
-                f"--out: expected a folder without {file.name}, got {command.out}, which has one that no {MAP} knows;"
-                " name another, or move it away"
-            )
+    with naming(folder="--out"):
+        check_levels_target(command.out, names, "levels of this scene")
 
 
 def _check_replaced(command: Levels, g: Gaussians) -> None:
     """Raise if levels of another scene would be replaced: they took hours of training."""
-    folder = _target(command.out)
-    if not (folder / MAP).exists():
+    if not Path(command.out, MAP).exists():
         return
     wanted = f"--out: expected a new folder, or levels of this scene to replace, got {command.out}"
     try:
-        held = load_levels(folder)
+        held = load_levels(command.out)
     except FormatError as error:
         raise ValueError(f"{wanted}, which cannot be read ({error}); name another, or delete it") from None
     found = scene_hash(held.level(len(held) - 1))
@@ -281,15 +279,6 @@ def _draw_views(
     return replace(command, where=settled.where), drawn, space, remarks
 
 
-def named_option(error: ValueError) -> ValueError:
-    """Return an error of the settings of levels as one of the option that states them."""
-    if not isinstance(error, ArgumentError):
-        return ValueError(f"--{error}")
-    if error.name != "shares":
-        return error.renamed(f"--{error.name.replace('_', '-')}")
-    return error.renamed("--levels", error.remedy or "larger shares, or a finer --lod")
-
-
 def level_image_size(training: Training) -> tuple[int, int] | None:
     """Return (width, height) of the views that levels are measured on; None for the usual ones.
 
@@ -313,37 +302,104 @@ def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, d
 
     g = plan.source.gaussians
     work = plan.work
-    try:
-        with between_steps() as stop_if_asked:
-            said = "", 0
+    kept = f"what was chosen and trained is kept in {work.name}"
+    with resumable(kept, has=lambda: _begun_or_removed(work)), between_steps() as stop_if_asked:
+        said = "", 0
 
-            def report(stage: str, done: int, total: int) -> None:
-                nonlocal said
-                if (stage, done) != said:  # the last step may be reported twice
-                    status(stage.replace("train ", "training ", 1), done, total)
-                said = stage, done
-                stop_if_asked()
+        def report(stage: str, done: int, total: int) -> None:
+            nonlocal said
+            if (stage, done) != said:  # the last step may be reported twice
+                status(stage.replace("train ", "training ", 1), done, total)
+            said = stage, done
+            stop_if_asked()
 
-            made = make_levels(g, plan.drawn, plan.config, work=work, progress=report)
-        plan.remarks.extend([f" {made.warning}"] if made.warning else [])
-        record = record_of(command, plan, made.trained, made.quality, made.judged)
-        up = plan.source.known_up if command.where.up is None else parse_up(command.where.up)
-        if up is not None:
-            record["up"] = [float(value) for value in up]
-        status("writing", 0, 1)
+        made = make_levels(g, plan.drawn, plan.config, work=work, progress=report)
+    plan.remarks.extend([f" {made.warning}"] if made.warning else [])
+    about = {"made_by": f"gsvis {version()}", "scene": plan.source.name, "lod": plan.source.lod}
+    record = about | made.record(g, plan.drawn, plan.config)
+    up = plan.source.known_up if command.where.up is None else parse_up(command.where.up)
+    if up is not None:
+        record["up"] = [float(value) for value in up]
+    with resumable(kept, has=lambda: _begun_or_removed(work)), status.stage("writing"):
         save_levels(made.trained.levels, command.out, record)
-        status("writing", 1, 1)
-    except KeyboardInterrupt:
-        if not _begun(work):
-            shutil.rmtree(work, ignore_errors=True)
-            raise
-        raise KeyboardInterrupt(
-            f"what was chosen and trained is kept in {work.name}; run the same command to resume"
-        ) from None
-    except OutputError as error:
-        if not _begun(work):
-            shutil.rmtree(work, ignore_errors=True)
-            raise
-        raise error.keeping(f"what was chosen and trained is kept in {work.name}") from error
     shutil.rmtree(work, ignore_errors=True)
     return made.trained, record
+
+
+def _print_result(
+    command: Levels,
+    levels: SceneLevels,
+    record: Mapping[str, Any],
+    space: NavigableSpace | None,
+    remarks: list[str],
+    seconds: Mapping[str, float],
+) -> None:
+    """Print the document or the tables."""
+    folder = Path(command.out)
+    rows = [{**row, "file": f"{row['name']}.ply"} for row in record["levels"]]
+    for row in rows:
+        row["bytes"] = (folder / row["file"]).stat().st_size
+    spent = sum(value for stage, value in seconds.items() if stage != "kernels")
+    if command.output.json:
+        about = {name: value for name, value in record.items() if name != "levels"}
+        times = {stage: value for stage, value in seconds.items() if stage != "kernels"}
+        about["space"] = None if space is None else space_document(space)
+        more = {"out": command.out, "levels": rows, "remarks": [each.strip() for each in remarks], "seconds": times}
+        print_json({"format": "gsvis-levels", "version": 1, **about, **more})
+        return
+    views = record["views"]
+    photographs = record["views"]["photographs"]
+    header = ["level", "Gaussians", "share", "reuse"]
+    if views["held_out"]:
+        header += ["PSNR", "photos", "brightness"] if photographs else ["PSNR", "brightness"]
+    header.append("PLY")
+    table = facts(f"{record['scene']}: levels", [_cells(row, rows[-1], views) for row in rows], header)
+    size = f"{views['width']} x {views['height']}"
+    lines = [
+        ("views", f"{views['trained_on']:,} to train on, {views['held_out']:,} held out, {size}"),
+        ("their cameras", views["from"]),
+        *([] if space is None else [kind_row(space)]),
+        ("steps", f"{record['config']['iterations']:,} for each lower level"),
+        (
+            "going up level by level",
+            f"sends {record['overhead']:.1%} more than the scene alone ({record['union']:,} Gaussians)",
+        ),
+        ("time", clock(spent)),
+    ]
+    written = f" Written to {command.out}: {', '.join(row['file'] for row in rows)}, {MAP}."
+    show(table, facts("", lines), *_explain(record), *remarks, written)
+
+
+def _cells(row: Mapping[str, Any], top: Mapping[str, Any], views: Mapping[str, Any]) -> list[str]:
+    """Return the row of a level in the table."""
+    cells = [row["name"], f"{row['gaussians']:,}", f"{row['share']:.1%}"]
+    cells.append("" if row["reuse"] is None else f"{row['reuse']:.1%}")
+    if views["held_out"]:
+        cells.append("" if row["psnr"] is None else f"{row['psnr']['mean']:.2f} dB")
+        if views["photographs"]:
+            cells.append(f"{row['psnr_photographs']['mean']:.2f} dB")
+        drift = "" if row is top else f" ({row['brightness'] / max(top['brightness'], 1e-9) - 1.0:+.1%})"
+        cells.append(f"{row['brightness']:.3f}{drift}")
+    return [*cells, size_of(row["bytes"])]
+
+
+def _explain(record: Mapping[str, Any]) -> list[str]:
+    """Return lines that explain the columns and say what went wrong."""
+    views = record["views"]
+    top = record["levels"][-1]["name"]
+    lines = [
+        f" Reuse is the share of a level that stands unchanged in the next; {top} is the scene itself, bit by bit."
+    ]
+    if views["held_out"]:
+        photos = ", photos against the photographs themselves" if views["photographs"] else ""
+        lines.append(
+            f" PSNR is the mean over the held-out views against renders of the scene{photos}; brightness is the mean of"
+            " all pixels, where 1 is white."
+        )
+        checked = [row for row in record["levels"] if "judged" in row]
+        lines += [f" {row['name']}, by other eyes: {row['judged']['line']}." for row in checked]
+    else:
+        lines.append(" No view was held out, so nothing was measured.")
+    if record["overhead"] > _MOST_OVERHEAD:
+        lines.append(" Going up sends more than 5% more than the scene alone: a higher --reuse, or lower --levels.")
+    return lines

@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from gsvis.cli.source import is_builtin, is_levels
 from gsvis.cli.terminal import least_size_of, size_of
 from gsvis.io.batches import list_batches, read_batch
+from gsvis.io.sources import is_builtin, is_levels
 
 if TYPE_CHECKING:
     from gsvis.prepare import PrepareConfig

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Protocol, TypeVar, get_args, get_origin, get_type_hints
 
 from gsvis.cli import readers
 from gsvis.cli.readers import Count, File, Flag, Memory, Units, Up, hint
+from gsvis.errors import ArgumentError
 
 __all__ = [
     "IN_DOUBT",
@@ -38,7 +40,9 @@ __all__ = [
     "command_line",
     "command_name",
     "config_of",
+    "image_size",
     "leaves",
+    "naming",
     "refuse",
     "replaced",
     "value_of",
@@ -230,7 +234,8 @@ class Leaf:
         path: Names of the fields that lead to it, through groups.
         hint: Its type with the settings of `tyro`.
         default: Its default; `dataclasses.MISSING` if it is required.
-        text: What the help tells of it, if that is not the string below its field.
+        text: What the help of this command tells of it; None if the field says it.
+        shared: What the help tells of it in every command that has no string below its field.
         owner: The dataclass that has the field.
     """
 
@@ -239,6 +244,7 @@ class Leaf:
     hint: Any
     default: Any
     text: str | None
+    shared: str | None
     owner: type
 
     @property
@@ -297,7 +303,8 @@ def _leaves(kind: Any, path: tuple[str, ...], other: OtherHelp | None) -> tuple[
             continue
         if each.name in other.defaults:
             hinted = Annotated[hinted, hint(other.defaults[each.name])]
-        found.append(Leaf(each.name, where, hinted, each.default, other.texts.get(each.name), kind))
+        shared = next((extra.help for extra in extras if getattr(extra, "help", None)), None)
+        found.append(Leaf(each.name, where, hinted, each.default, other.texts.get(each.name), shared, kind))
     return tuple(found)
 
 
@@ -338,6 +345,22 @@ def refuse(command: Any, names: Iterable[str], why: str) -> None:
     for option, words in changed(command, names).items():
         got = f", got {' '.join(words).strip()}" if words else ""
         raise ValueError(f"{option}: expected none {why}{got}; leave it out")
+
+
+@contextmanager
+def naming(**options: str) -> Iterator[None]:
+    """Name an option in place of the argument of the library that an error in the block is about.
+
+    Args:
+        options: Option of each argument, with another remedy behind "; " if it has one.
+    """
+    try:
+        yield
+    except ArgumentError as error:
+        if error.name not in options:
+            raise
+        option, _, remedy = options[error.name].partition("; ")
+        raise error.renamed(option, remedy) from None
 
 
 def replaced(command: C, values: dict[tuple[str, ...], Any]) -> C:
@@ -386,3 +409,34 @@ def config_of(kind: type[C], group: Any, **given: Any) -> C:
     names = {each.name for each in fields(kind)}  # type: ignore[arg-type]
     same = {name: value for name, value in values_of(group).items() if name in names}
     return kind(**{name: value for name, value in {**same, **given}.items() if value is not None})
+
+
+class Sized(Protocol):
+    """Options with the pixels of images."""
+
+    @property
+    def width(self) -> int | None: ...
+    @property
+    def height(self) -> int | None: ...
+
+
+def image_size(command: Sized, usual: tuple[int, int] | None) -> tuple[int, int] | None:
+    """Return (width, height) in pixels as a command states them; None if it states neither.
+
+    Args:
+        command: Arguments with --width and --height.
+        usual: (width, height) that replaces the one that is not given; None where both are needed, as for photographs,
+            whose shape is not known here.
+
+    Raises:
+        ValueError: If one is given and the other is needed.
+    """
+    width = command.width
+    height = command.height
+    if width is None and height is None:
+        return None
+    if usual is None and (width is None or height is None):
+        missing, given = ("--width", "--height") if width is None else ("--height", "--width")
+        raise ValueError(f"{given}: expected {missing} with it for photographs, got none; add it or use --downscale")
+    across, down = usual or (0, 0)
+    return width or across, height or down

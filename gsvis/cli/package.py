@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from gsvis.cli.arguments import Unpack, Verify
-from gsvis.cli.source import check_source, navigable_space, open_source
+from gsvis.cli.options import naming
+from gsvis.cli.source import open_source
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
-from gsvis.errors import FormatError, SceneError
 from gsvis.files.output import check_folder
 from gsvis.files.places import TABLES, cache_folder
-from gsvis.io.levels import MAP, levels_info
+from gsvis.io.levels import check_levels_target
+from gsvis.io.sources import check_source
 from gsvis.package import Fidelity, Manifest, Package, Spread, unpack_package
 from gsvis.stream.kept import check_kept
 from gsvis.world import World, is_world
@@ -27,7 +28,6 @@ _STEPS = {
     "cells": "what a cell needs for every record",
 }
 _EQUAL = 100.0  # dB, the most that is measured
-_SAME = 0.1  # dB by which two measurements of the same scene may differ
 
 
 def run_verify(command: Verify) -> None:
@@ -47,7 +47,12 @@ def run_verify(command: Verify) -> None:
         name = "the scene"
         remarks: list[str] = []
         if command.scene is not None:
-            fidelity, name, remarks = _compare(command.scene, command.lod, package, status)
+            from gsvis.prepare.compared import compare_with_source
+
+            source = open_source(command.scene, command.lod, status, "compare with")
+            fidelity, remark = compare_with_source(package, source, progress=status)
+            name = source.name
+            remarks = [f" {remark}"] if remark else []
     if command.output.json:
         print_json(
             {
@@ -108,51 +113,13 @@ def _verify_world(command: Verify) -> None:
 
 
 def _tables_of(command: Verify) -> str:
+    """Return the folder of kept tables."""
     return command.tables or str(cache_folder() / TABLES)
 
 
 def _kept_rows(kept: list[Path]) -> list[tuple[str, str]]:
     """Return the row for tables that were kept; none without."""
     return [("kept for serving", f"{len(kept):,} files in {kept[0].parent}, whole")] if kept else []
-
-
-def _compare(scene: str, lod: int | None, package: Package, status: Status) -> tuple[Fidelity, str, list[str]]:
-    """Return how near what a client gets comes to a scene, the name of the scene, and remarks.
-
-    The views are those of `gsvis prepare`, or drawn where the package has none. Steps that need what the package does
-    not hold are taken from its manifest.
-    """
-    from gsvis.package.compare import measure_fidelity
-    from gsvis.prepare.config import PrepareConfig
-
-    source = open_source(scene, lod, status, "compare with")
-    recorded = package.manifest.info.fidelity
-    if recorded is not None:
-        cameras = recorded.cameras
-    else:
-        space, why_not = navigable_space(source, up=package.manifest.info.up)
-        if space is None:
-            raise SceneError(f"{scene}: {why_not}")
-        cameras = PrepareConfig.fidelity_views.cameras(source.whole, space)
-    has_sets = package.manifest.visibility is not None
-    has_active = package.epsilon is not None
-    found = measure_fidelity(
-        source.gaussians,
-        package.contents,
-        cameras,
-        sets=package.visibility if has_sets else None,
-        active=package.active_terms if has_active else None,
-        progress=status,
-    )
-    remarks = []
-    if recorded is not None:
-        found = replace(found, steps={**recorded.steps, **found.steps})
-        if abs(found.records.psnr - recorded.records.psnr) > _SAME:
-            remarks.append(
-                f" gsvis prepare measured {recorded.records.psnr:.1f} dB for every record: is {source.name} the scene"
-                " from which the package was made?"
-            )
-    return found, source.name, remarks
 
 
 def _source_of(command: Verify, fidelity: Fidelity | None) -> str | None:
@@ -181,6 +148,7 @@ def fidelity_table(fidelity: Fidelity | None, scene: str) -> list[Any]:
 
 
 def _decibels(spread: Spread) -> tuple[str, str]:
+    """Return mean and worst PSNR as text."""
     mean, worst = ("equal" if value >= _EQUAL else f"{value:.1f} dB" for value in (spread.psnr, spread.worst))
     return mean, worst
 
@@ -213,24 +181,14 @@ def run_unpack(command: Unpack) -> None:
 
 
 def _check_replaced(folder: Path, manifest: Manifest) -> None:
-    """Raise if files would be replaced that are not an earlier unpacking of this scene.
-
-    Raises:
-        ValueError: If the folder holds such files, or its map cannot be read.
-    """
-    known: tuple[str, ...] = ()
-    wanted = f"--out: expected a new folder, or what was unpacked from this scene, got {folder}"
-    if (folder / MAP).exists():
-        try:
-            info = levels_info(folder)
-        except FormatError as error:
-            raise ValueError(f"{wanted}, which cannot be read ({error}); name another, or delete it") from None
-        if info.extra.get("scene") != manifest.scene:
-            raise ValueError(f"{wanted}, which holds levels of something else; name another")
-        known = info.files
-    for name in manifest.names:
-        if f"{name}.ply" not in known and (folder / f"{name}.ply").exists():
-            raise ValueError(f"{wanted}, which has a {name}.ply that no {MAP} knows; name another, or move it away")
+    """Raise ValueError if files would be replaced that are not an earlier unpacking of this scene."""
+    with naming(folder="--out"):
+        info = check_levels_target(folder, manifest.names, "what was unpacked from this scene")
+    if info is not None and info.extra.get("scene") != manifest.scene:
+        raise ValueError(
+            f"--out: expected a new folder, or what was unpacked from this scene, got {folder}, which holds levels of"
+            " something else; name another"
+        )
 
 
 def size_rows(manifest: Manifest) -> list[tuple[str, str]]:
@@ -246,6 +204,7 @@ def size_rows(manifest: Manifest) -> list[tuple[str, str]]:
 
 
 def _facts(manifest: Manifest) -> dict[str, Any]:
+    """Return what the manifest states, for JSON."""
     info = manifest.info
     return {
         "levels": [{"name": n, "gaussians": c} for n, c in zip(manifest.names, manifest.counts, strict=True)],

@@ -8,22 +8,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsvis.cli.arguments import Paint
-from gsvis.cli.kernels import warm_sets
 from gsvis.cli.options import refuse
-from gsvis.cli.source import check_source, open_source
+from gsvis.cli.source import open_source
 from gsvis.cli.targets import check_exists, check_one_level, check_outputs, check_scene_out, write_array
 from gsvis.cli.terminal import Status, print_json, show
 from gsvis.cli.where import check_where, find_place
 from gsvis.files.atomic import atomic_path
 from gsvis.io.scenes import save_scene
+from gsvis.io.sources import check_source
+from gsvis.prepare.warm import warm_sets
 from gsvis.pvs.store import VisibilityStore
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from gsvis.cli.source import Source
     from gsvis.edit import Band, Quantity
     from gsvis.scene.paths import HeadPath
+    from gsvis.scene.source import Source
 
 __all__ = ["run_paint"]
 
@@ -110,6 +111,7 @@ def _measure(
 
 
 def _document(command: Paint, source: Source, files: _Files, quantity: Quantity, bands: list[Band]) -> dict[str, Any]:
+    """Return the result as JSON."""
     return {
         "format": "gsvis-paint",
         "version": 1,

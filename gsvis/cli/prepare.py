@@ -5,42 +5,54 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gsvis.cli import version
 from gsvis.cli.arguments import Prepare
 from gsvis.cli.asking import settle_space
 from gsvis.cli.color import fit_config
-from gsvis.cli.kernels import warm_colors, warm_levels, warm_sets
 from gsvis.cli.levels import (
+    SHARES,
     check_views,
     image_bytes,
     level_image_size,
     levels_config,
     view_sampling,
 )
-from gsvis.cli.made_from import about_source
 from gsvis.cli.memory import check_preparation
-from gsvis.cli.options import config_of, refuse
-from gsvis.cli.prepare_result import print_estimate, print_result
-from gsvis.cli.pvs import local_workers, named_memory
-from gsvis.cli.source import check_source, is_builtin, is_levels, open_source
-from gsvis.cli.stopping import between_steps
+from gsvis.cli.options import config_of, naming, refuse
+from gsvis.cli.package import fidelity_table, size_rows
+from gsvis.cli.pvs import MEMORY, local_workers, spell_certificates
+from gsvis.cli.source import open_source
+from gsvis.cli.stopping import between_steps, resumable
 from gsvis.cli.targets import check_exists
-from gsvis.cli.terminal import Status
-from gsvis.cli.where import check_where
-from gsvis.errors import ArgumentError
+from gsvis.cli.terminal import Status, busy_note, clock, facts, print_json, show, size_of
+from gsvis.cli.where import check_where, kind_row, space_document
 from gsvis.files.output import check_folder
+from gsvis.io.sources import check_source, is_builtin, is_levels
 from gsvis.package.made_from import note_paths
+from gsvis.package.original import about_source
+from gsvis.prepare.warm import warm_colors, warm_levels, warm_sets
 from gsvis.pvs.config import PvsConfig
+from gsvis.scene.lengths import spell_volume
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.source import Source
 
 if TYPE_CHECKING:
-    from gsvis.prepare import PrepareConfig
+    from gsvis.prepare import PreparationEstimate, PrepareConfig, Prepared
     from gsvis.scene.cameras import Cameras
 
 __all__ = ["run_prepare"]
+_CALLED = {
+    "levels": "levels",
+    "sets": "visible sets",
+    "colors": "colors",
+    "cost": "cost of rounding",
+    "fidelity": "what a client gets",
+    "package": "package",
+}
 
 
 def run_prepare(command: Prepare) -> None:
@@ -51,7 +63,7 @@ def run_prepare(command: Prepare) -> None:
     config = _check_arguments(command)
     walk = check_where(command.where)
     workers = local_workers(command.work)
-    with Status() as status, named_memory():
+    with Status() as status, naming(**MEMORY):
         source = open_source(command.scene, command.lod, status, "see")
         if command.meters_per_unit is None:
             config = replace(config, meters_per_unit=source.gaussians.facts.meters_per_unit or 0.0)
@@ -70,39 +82,24 @@ def run_prepare(command: Prepare) -> None:
         about = {"made_by": f"gsvis {version()}", "scene": source.name, "lod": source.lod}
         if not command.work.dry_run:
             about |= about_source(command.scene, source, command.out)
-        try:
+        what: dict[str, Any] = {"photos": command.training.photos, "workers": workers}
+        with naming(**SHARES):
             if command.work.dry_run:
-                estimate = estimate_preparation(
-                    source.whole,
-                    command.out,
-                    space,
-                    config,
-                    photos=command.training.photos,
-                    workers=workers,
-                    progress=status,
-                )
+                estimate = estimate_preparation(source.whole, command.out, space, config, **what, progress=status)
             else:
-                with _Progress(config, status) as progress:
+                kept = f"what was finished is kept in {work.name}"
+                with resumable(kept), _Progress(config, status) as progress:
                     prepared = prepare_package(
-                        source.whole, command.out, space, config,
-                        photos=command.training.photos, about=about, workers=workers, progress=progress,
-                    )  # fmt: skip
-        except ArgumentError as error:
-            raise _named_levels(error) from None
-        except KeyboardInterrupt:
-            if command.work.dry_run:
-                raise
-            raise KeyboardInterrupt(
-                f"what was finished is kept in {work.name}; run the same command to resume"
-            ) from None
+                        source.whole, command.out, space, config, about=about, **what, progress=progress
+                    )
         if not command.work.dry_run and command.discard:
             shutil.rmtree(prepared.work, ignore_errors=True)
         elif not command.work.dry_run:
             note_paths(command.out, [None if is_builtin(command.scene) else command.scene])
     if command.work.dry_run:
-        print_estimate(command, source, space, estimate, [*remarks, settled.written])
+        _print_estimate(command, source, space, estimate, [*remarks, settled.written])
     else:
-        print_result(command, source, space, prepared, remarks)
+        _print_result(command, source, space, prepared, remarks)
 
 
 def _photo_cameras(command: Prepare) -> Cameras | None:
@@ -151,16 +148,9 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
         from gsvis.train.photos import photo_bytes
 
         images = photo_bytes(command.training.photos, size)
-    try:
+    with naming(**SHARES):
         check_preparation(command.scene, command.lod, config, command.work.max_memory, images)
-    except ArgumentError as error:
-        raise _named_levels(error) from None
     return config
-
-
-def _named_levels(error: ArgumentError) -> ArgumentError:
-    """Return an error that names `--levels` in place of the shares of levels."""
-    return error.renamed("--levels", "larger shares, or a finer --lod") if error.name == "shares" else error
 
 
 def _check_training(command: Prepare) -> None:
@@ -210,6 +200,7 @@ class _Progress:
             self._stop_if_asked()
 
     def _ready(self, stage: str) -> None:
+        """Load the kernels of a stage."""
         if stage == "cells":
             warm_sets(self._config.sets, self._status)
         elif stage == "importance":
@@ -226,3 +217,148 @@ class _Progress:
         elif not trains and self._training is not None:
             self._training.close()
             self._training = None
+
+
+def _print_result(
+    command: Prepare, source: Source, space: NavigableSpace, prepared: Prepared, remarks: list[str]
+) -> None:
+    """Print the package and its stages, as a JSON document or as tables."""
+    m = prepared.manifest
+    cost = m.info.cost
+    seconds = sum(stage.seconds for stage in prepared.stages)
+    levels = [{"name": n, "gaussians": c} for n, c in zip(m.names, m.counts, strict=True)]
+    for row, spread in zip(levels, (prepared.quality or {}).get("psnr", ()), strict=False):
+        row["psnr"] = spread
+    if command.output.json:
+        about = {"format": "gsvis-preparation", "version": 1, **_about(command, source, space)}
+        print_json({**about, **_document(command, prepared, levels, remarks)})
+        return
+    sizes = ", ".join(f"{row['name']} {row['gaussians']:,}" for row in levels)
+    meters = m.info.meters_per_unit
+    rows = [
+        ("Gaussians", f"{m.gaussians:,}" + (f" in levels {sizes}" if len(levels) > 1 else "")),
+        *_quality(prepared.quality, m.names),
+        kind_row(space),
+        ("where eyes may be", f"{space.rule}, {spell_volume(space.volume, meters)}"),
+        ("up", f"{_axis(m.info.up)}; " + (f"{meters:g} meters a unit" if meters else "meters a unit not known")),
+        ("terms", f"{m.terms:,}, variant {m.grids.variant}"),
+    ]
+    if cost is not None:
+        text = f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}, in {cost.views} views of {cost.width} x {cost.height}"
+        rows.append(("cost of rounding", text))
+    if prepared.certificates is not None:
+        rows += spell_certificates(prepared.certificates, prepared.traced_twice)
+    if prepared.judged is not None:
+        rows.append(("checked by other eyes", str(prepared.judged["line"])))
+    rows.append(("package", f"{command.out}, {size_of(prepared.nbytes)} in {prepared.parts:,} parts"))
+    rows += size_rows(m)
+    if prepared.parts_kept:
+        rows.append(("as before", f"{prepared.parts_kept:,} of the parts, {size_of(prepared.nbytes_kept)}"))
+    if not command.discard:
+        rows.append(("kept beside it", f"{prepared.work.name}, {size_of(prepared.work_bytes)}; may be deleted"))
+    rows.append(("time", clock(seconds)))
+    given = source.levels is not None or not command.training.levels
+    stages = [
+        (
+            _CALLED[stage.name],
+            "as given" if stage.name == "levels" and given else "there already" if stage.reused else "made",
+            clock(stage.seconds),
+        )
+        for stage in prepared.stages
+    ]
+    show(
+        facts(f"{source.name}: package", rows),
+        facts("", stages),
+        *fidelity_table(m.info.fidelity, source.name),
+        *remarks,
+        *(f" {remark}" for remark in prepared.remarks),
+    )
+
+
+def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]], remarks: list[str]) -> dict[str, Any]:
+    """Return the part of the JSON document about the package."""
+    m = prepared.manifest
+    return {
+        "gaussians": m.gaussians,
+        "levels": levels,
+        "terms": m.terms,
+        "variant": m.grids.variant,
+        "up": list(m.info.up),
+        "meters_per_unit": m.info.meters_per_unit,
+        "cost": None if m.info.cost is None else asdict(m.info.cost),
+        "fidelity": None if m.info.fidelity is None else m.info.fidelity.summary(),
+        "certificates": None if prepared.certificates is None else prepared.certificates.as_dict(),
+        "traced_twice": prepared.traced_twice,
+        "judged": prepared.judged,
+        "parts": prepared.parts,
+        "parts_kept": prepared.parts_kept,
+        "sizes": m.sizes(),
+        "bytes": prepared.nbytes,
+        "bytes_kept": prepared.nbytes_kept,
+        "stages": [asdict(stage) for stage in prepared.stages],
+        "work": None if command.discard else str(prepared.work),
+        "work_bytes": 0 if command.discard else prepared.work_bytes,
+        "remarks": [*(each.strip() for each in remarks), *prepared.remarks],
+    }
+
+
+def _print_estimate(
+    command: Prepare, source: Source, space: NavigableSpace, estimate: PreparationEstimate, remarks: list[str]
+) -> None:
+    """Print the estimated cost, as a JSON document or as tables."""
+    if command.output.json:
+        print_json(
+            {
+                "format": "gsvis-preparation-estimate",
+                "version": 1,
+                **_about(command, source, space),
+                **asdict(estimate),
+                "levels": [{"name": name, "gaussians": count} for name, count in estimate.levels],
+                "work_bytes": estimate.work_bytes,
+                "remarks": [each.strip() for each in remarks],
+            }
+        )
+        return
+    stages = [
+        (_CALLED[s.name], s.state, s.what, clock(s.seconds) if s.state not in ("done", "given") else "")
+        for s in estimate.stages
+    ]
+    rows = [
+        kind_row(space),
+        ("where eyes may be", f"{space.rule}, {spell_volume(space.volume, source.gaussians.facts.meters_per_unit)}"),
+        ("time", f"about {clock(estimate.seconds)}{busy_note(estimate.load)}"),
+        ("package", f"about {size_of(estimate.nbytes)}"),
+        ("kept beside it", f"about {size_of(estimate.work_bytes)}"),
+    ]
+    rows.append(("memory", f"at most about {size_of(estimate.memory)}, all processes together"))
+    show(
+        facts(f"{source.name}: what it would cost", rows),
+        facts("", stages),
+        *remarks,
+    )
+
+
+def _about(command: Prepare, source: Source, space: NavigableSpace) -> dict[str, Any]:
+    """Return what the command works on, for JSON."""
+    return {
+        "scene": source.name,
+        "lod": source.lod,
+        "out": command.out,
+        "space": space_document(space),
+    }
+
+
+def _quality(quality: dict[str, Any] | None, names: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Return the row about levels against the scene; none if they were not measured."""
+    if quality is None or "psnr" not in quality:
+        return []
+    text = ", ".join(f"{name} {row['mean']:.1f} dB" for name, row in zip(names[:-1], quality["psnr"], strict=False))
+    return [("levels against the scene", f"{text}, in {quality['views']} views")]
+
+
+def _axis(up: tuple[float, float, float]) -> str:
+    """Return an axis as text: a name such as '+z', or three numbers."""
+    for k, name in enumerate("xyz"):
+        if abs(abs(up[k]) - 1.0) < 1e-9:
+            return ("+" if up[k] > 0 else "-") + name
+    return ", ".join(f"{v:.3g}" for v in up)

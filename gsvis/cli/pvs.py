@@ -7,37 +7,39 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gsvis.cli.arguments import Pvs
 from gsvis.cli.asking import settle_space
-from gsvis.cli.kernels import warm_sets
 from gsvis.cli.memory import IN_TILES, check_sets
-from gsvis.cli.options import Cluster, Work, config_of, refuse
-from gsvis.cli.source import Source, check_source, levels_spelled, open_source, summarize_levels
+from gsvis.cli.options import Cluster, Work, config_of, naming, refuse
+from gsvis.cli.source import levels_spelled, open_source, summarize_levels
 from gsvis.cli.terminal import Status, busy_note, clock, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, kind_row, space_document
-from gsvis.errors import ArgumentError, FormatError
-from gsvis.files.limits import open_regular
 from gsvis.files.output import check_file
+from gsvis.io.sources import check_source
 from gsvis.jobs.workers import Workers
+from gsvis.prepare.warm import warm_sets
 from gsvis.pvs.build import build_pvs, journal_of
 from gsvis.pvs.cell_count import fitting_cells
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.estimate import Estimate, estimate_pvs
-from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.store import VisibilityStore, check_store_target
 from gsvis.pvs.stored_certificates import StoredCertificates
 from gsvis.raycast import CrossCheck, describe_check
 from gsvis.scene.content import scene_hash
 from gsvis.scene.lengths import spell_length, spell_volume
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
+from gsvis.scene.source import Source
 
-__all__ = ["check_workers", "local_workers", "named_memory", "open_workers", "run_pvs", "spell_certificates"]
+__all__ = ["MEMORY", "check_workers", "local_workers", "open_workers", "run_pvs", "spell_certificates"]
+
+MEMORY = {"max_memory": f"--max-memory; {IN_TILES}"}
+"""The option of a memory limit that a scene does not fit."""
 
 _CELLS = 512
 
@@ -58,7 +60,7 @@ def run_pvs(command: Pvs) -> None:
     """Build a store: read, cut the space into cells, find visible sets, write the store, print the result."""
     config = _check_arguments(command)
     walk = check_where(command.where)
-    with Status() as status, open_workers(command.work) as workers, named_memory():
+    with Status() as status, open_workers(command.work) as workers, naming(**MEMORY):
         plan = _plan(command, config, walk, status)
         if command.work.dry_run:
             estimate = estimate_pvs(
@@ -80,43 +82,12 @@ def _check_arguments(command: Pvs) -> PvsConfig:
     """Check the arguments before work begins; return the settings of the build."""
     check_source(command.scene, command.lod)
     check_file(command.out)
-    _check_target(command)
+    with naming(path="--out"):
+        check_store_target(command.out)
     check_workers(command.work)
     config = config_of(PvsConfig, command.sets, size=command.sets.face_size, rays=command.sets.certify)
     check_sets(command.scene, command.lod, config, command.work.max_memory)
     return config
-
-
-def _check_target(command: Pvs) -> None:
-    """Raise if a file that is not a store would be replaced: a typo must not destroy a scene."""
-    target = Path(command.out)
-    if not target.is_file() or target.stat().st_size == 0:
-        return
-    try:
-        VisibilityStore.open(target).close()
-    except FormatError:
-        with open_regular(target) as file:
-            if file.read(6) != b"\x93GSPVS":  # a damaged store may be replaced
-                raise ValueError(
-                    f"--out: expected a new file or a store to replace, got {command.out}, which is something else;"
-                    " name another"
-                ) from None
-
-
-def _check_replaced(command: Pvs, source: Source) -> None:
-    """Raise if a complete store of another scene would be replaced: it took hours to build."""
-    if not Path(command.out).is_file():
-        return
-    try:
-        with VisibilityStore.open(command.out) as store:
-            whole = store.info.scene
-    except FormatError:  # damaged
-        return
-    if whole != scene_hash(source.union):
-        raise ValueError(
-            f"--out: expected a new file, or a store of this scene to replace, got {command.out}, which is of the scene"
-            f" with the hash {whole[:12]}...; name a new file"
-        )
 
 
 def check_workers(work: Cluster) -> None:
@@ -140,15 +111,6 @@ def open_workers(work: Cluster) -> Iterator[Workers]:
         yield workers
 
 
-@contextmanager
-def named_memory(remedy: str = IN_TILES) -> Iterator[None]:
-    """Name `--max-memory` in an error of a scene that does not fit."""
-    try:
-        yield
-    except ArgumentError as error:
-        raise (error.renamed("--max-memory", remedy) if error.name == "max_memory" else error) from None
-
-
 def local_workers(work: Work) -> Workers:
     """Return worker processes on this machine, one per core by default."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -158,7 +120,8 @@ def local_workers(work: Work) -> Workers:
 def _plan(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status) -> _Plan:
     """Read the scene, find its navigable space and cut it into cells."""
     source = open_source(command.scene, command.lod, status, "see")
-    _check_replaced(command, source)
+    with naming(path="--out"):
+        check_store_target(command.out, scene_hash(source.union))
     settled, space, remarks = settle_space(
         command.where,
         source,
@@ -177,6 +140,7 @@ def _plan(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status
 
 
 def _built(command: Pvs, plan: _Plan, workers: Workers, status: Status) -> VisibilityStore:
+    """Build the store; say what is kept if that is interrupted."""
     kept: dict[str, tuple[int, int]] = {}
 
     def progress(stage: str, done: int, total: int) -> None:
@@ -211,6 +175,7 @@ def _about(plan: _Plan) -> dict[str, Any]:
 
 
 def _rows(plan: _Plan) -> list[tuple[str, str]]:
+    """Return the rows of a table about what is built."""
     x, y, z = plan.grid.shape
     shown = plan.config
     meters = plan.source.gaussians.facts.meters_per_unit
@@ -224,6 +189,7 @@ def _rows(plan: _Plan) -> list[tuple[str, str]]:
 
 
 def _print_estimate(command: Pvs, plan: _Plan, estimate: Estimate) -> None:
+    """Print what a build would cost."""
     if command.output.json:
         print_json({"format": "gsvis-pvs-estimate", "version": 2, **_about(plan), "estimate": asdict(estimate)})
         return
@@ -256,6 +222,7 @@ def spell_certificates(certified: StoredCertificates, twice: Any) -> list[tuple[
 
 
 def _print_result(command: Pvs, plan: _Plan, store: VisibilityStore, seconds: float) -> None:
+    """Print the store that was built."""
     n = store.gaussians
     cells = len(store)
     sizes = store.sizes()

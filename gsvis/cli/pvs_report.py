@@ -6,32 +6,24 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import PvsReport
 from gsvis.cli.options import command_line, config_of, values_of
-from gsvis.cli.showing import picture_of
-from gsvis.cli.source import (
-    Source,
-    check_source,
-    file_cameras,
-    framed_cameras,
-    inspect_scene_of,
-    open_source,
-    spaces_of_build,
-)
+from gsvis.cli.source import inspect_scene_of, open_source
 from gsvis.cli.targets import check_exists, check_report
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
-from gsvis.cli.where import Place, check_cameras
+from gsvis.cli.where import check_cameras, framed_cameras
 from gsvis.errors import SceneError
+from gsvis.io.cameras import load_cameras_at
+from gsvis.io.sources import check_source
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints
 from gsvis.render.judges import JUDGES
-from gsvis.scene.content import space_hash
 from gsvis.scene.levels import as_levels
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.place import Place
+from gsvis.scene.source import Source
 from gsvis.scene.upright import Upright
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.scene.witnesses import Witnesses, hold_out
@@ -70,6 +62,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
     from gsvis.pvs.quality import QualityConfig, measure_quality
     from gsvis.report import Subject  # imports matplotlib
     from gsvis.report.pvs_document import write_pvs_report
+    from gsvis.report.readings import picture_of
 
     config = config_of(QualityConfig, command.quality, viewpoints=command.quality.eyes, rays=command.quality.raycast)
     found = measure_quality(store, source.whole, viewpoints, config, progress=status)
@@ -94,7 +87,7 @@ def _witnesses(command: PvsReport, source: Source) -> tuple[Witnesses | None, li
     """Return the cameras that judge, none without --cameras, and remarks on their frame."""
     if command.where.cameras is None:
         return None, []
-    cameras = file_cameras(command.where.cameras, *_SMALL)
+    cameras = load_cameras_at(command.where.cameras, *_SMALL)
     cameras, framed = framed_cameras(source, cameras, command.where)
     kept = hold_out(len(cameras))[1]
     some = cameras[kept] if len(kept) else cameras
@@ -116,14 +109,12 @@ def _judge(
 
 def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints, str]:
     """Return where to sample fresh viewpoints, and its description: in the space of the build if it is found again."""
-    from gsvis.pvs.quality import box_space
+    from gsvis.pvs.quality import box_space, find_build_space
 
-    spaces = list(spaces_of_build(source, store.grid.up))
-    same = [space for space in spaces if store.info.config.get("space") == space_hash(space)]
-    like = [space for space in spaces if np.array_equal(space.origin, store.grid.origin)]
-    for space in (same or like)[:1]:
+    space, is_same = find_build_space(store, source.spaces_of_build(store.grid.up))
+    if space is not None:
         text = "in the navigable space that the store was built in"
-        if not same:
+        if not is_same:
             text = "in the navigable space of the scene, of which the store covers a part"
         try:
             return CellViewpoints(store.grid, space), text
@@ -183,6 +174,7 @@ def _tables(document: dict[str, Any]) -> list[Any]:
 
 
 def _remarks(document: dict[str, Any]) -> list[str]:
+    """Return lines below the tables."""
     from gsvis.report.pvs_page import describe_bounds, describe_certificate, describe_tiles
 
     judged = document["judged"]

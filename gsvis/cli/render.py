@@ -1,36 +1,52 @@
-"""`gsvis render`: render cameras as pictures, depth or an animation, or list the contributors to a pixel."""
+"""`gsvis render`: render cameras as pictures, depth or an animation, or list the contributors to a pixel.
+
+Cameras come from a file, an orbit or a point, or are sampled in the navigable space.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsvis._check import plain
-from gsvis._extras import has, require
+from gsvis._extras import require
 from gsvis.cli.arguments import Render
-from gsvis.cli.shown import check_shown, load_shown
-from gsvis.cli.source import Source, framed_cameras, open_source
+from gsvis.cli.options import refuse, values_of
+from gsvis.cli.source import open_source
 from gsvis.cli.terminal import Status, facts, print_json, show
-from gsvis.cli.views import camera_count, check_buried, check_views, given_cameras, place_cameras
-from gsvis.cli.where import space_document
-from gsvis.errors import BackendError
+from gsvis.cli.where import check_where, find_place, framed_cameras, parse_up, space_document
+from gsvis.io.cameras import load_cameras_at
 from gsvis.io.report_cameras import describe_cameras
+from gsvis.package.shown import check_shown, load_shown
+from gsvis.prepare.warm import warm_rendering
 from gsvis.render import PixelContributors, contributors, rasterize
-from gsvis.render.cuda import is_available
+from gsvis.render.cuda import choose_backend
 from gsvis.report.frames import Frame, Target, target_of, write_frames
+from gsvis.scene.axes import describe_direction
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
+from gsvis.scene.solid import buried
+from gsvis.scene.source import Source
+from gsvis.scene.source_frame import SourceFrame
+from gsvis.scene.upright import SURE, find_up
 
 __all__ = ["run_render"]
 
 _FPS = 12.0
 _ROWS = 40  # most rows of the table of contributors
+F64 = NDArray[np.float64]
+_WIDTH = 640
+_HEIGHT = 480
+_FOV = 60.0
+_ELEVATION = 20.0
+_SHOWN = 0.9  # share of the centers that an orbit shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +69,7 @@ def run_render(command: Render) -> None:
         require("gsvis render --depth", "matplotlib")
     check_shown(command.scene, command.lod)
     walk = check_views(command)
-    backend = _backend(command.backend)
+    backend = choose_backend(command.backend)
     given = given_cameras(command)
     target = _target(command, camera_count(command, given))
     older = target.older() if target else 0
@@ -88,8 +104,7 @@ def _render(
                 status.line(each.strip())
     if command.contributors is not None:
         _check_pixel(command.contributors, cameras)
-    with status.stage("kernels"):
-        _warm_up(backend)
+    warm_rendering(backend, status)
     start = time.perf_counter()
     depth_range = None
     if target:
@@ -125,27 +140,6 @@ def _frames(command: Render, g: Gaussians, cameras: Cameras, backend: str, statu
         status("rendering", i + 1, len(cameras))
 
 
-def _backend(asked: str) -> str:
-    """Return the backend to use: the one asked for; for "auto", cuda if it can run here, else cpu.
-
-    Raises:
-        BackendError: If cuda is asked for and cannot run here.
-    """
-    if asked == "auto" and not has("gsplat"):  # is_available imports torch, which takes longer than a render
-        return "cpu"
-    missing = is_available() if asked in ("auto", "cuda") else ""
-    if asked == "cuda" and missing:
-        raise BackendError(missing)
-    return ("cpu" if missing else "cuda") if asked == "auto" else asked
-
-
-def _warm_up(backend: str) -> None:
-    """Compile or load the kernels on a scene of one Gaussian, so that progress shows this time as a stage."""
-    if backend == "cpu":
-        one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
-        rasterize(one, Cameras.look_at([[4.0, 0.0, 0.0]], (0.0, 0.0, 0.0), width=1, height=1), backend="cpu")
-
-
 def _target(command: Render, count: int) -> Target | None:
     """Return where to write pictures, checked; None if only contributors are asked for."""
     if command.contributors is not None and count > 1:
@@ -166,6 +160,7 @@ def _target(command: Render, count: int) -> Target | None:
 
 
 def _check_pixel(pixel: tuple[int, int], cameras: Cameras) -> None:
+    """Raise if the pixel of --contributors lies outside of the image."""
     if pixel[0] >= cameras.width or pixel[1] >= cameras.height:
         raise ValueError(
             f"--contributors: expected a pixel of {cameras.width} x {cameras.height}, counted from 0,0 at the top left,"
@@ -221,6 +216,7 @@ def _table(command: Render, found: PixelContributors) -> list[Any]:
 
 
 def _document(command: Render, target: Target | None, done: _Done) -> dict[str, Any]:
+    """Return the result as JSON."""
     cameras = done.cameras
     found = done.found
     files = target.files if target else []
@@ -254,3 +250,130 @@ def _document(command: Render, target: Target | None, done: _Done) -> dict[str, 
             "depths": found.depths.tolist(),
         }
     return document
+
+
+def check_views(command: Render) -> HeadPath | None:
+    """Return the walk of --path; raise if arguments about cameras contradict each other.
+
+    Raises:
+        ValueError: If they do; the message names them.
+    """
+    given = {name: value for name, value in values_of(command).items() if value is not None}
+    ways = [way for way in ("cameras", "orbit", "eye") if way in given]
+    if len(ways) > 1:
+        raise ValueError(f"--{ways[1]}: expected none with --{ways[0]}, got both; leave one out")
+    way = ways[0] if ways else ""
+    needs = {"index": ("cameras",), "radius": ("orbit",), "elevation": ("orbit",), "target": ("orbit", "eye")}
+    for name, wanted in needs.items():
+        if name in given and way not in wanted:
+            raise ValueError(f"--{name}: expected {' or '.join('--' + each for each in wanted)} with it, got it alone")
+    if way == "cameras":
+        refuse(command, ["fov", "up"], "with --cameras, whose file states it")
+    if command.cast.eye is not None and command.cast.eye == command.cast.target:
+        point = " ".join(f"{value:g}" for value in command.cast.eye)
+        raise ValueError(f"--target: expected a point that is not --eye, got {point} for both")
+    return check_where(command.where, f"--{way}" if way else "")
+
+
+def given_cameras(command: Render) -> Cameras | None:
+    """Return the cameras of --cameras, at the given size, only those of --index if given; None without --cameras.
+
+    Raises:
+        GsvisError: If the file cannot be read.
+        FileNotFoundError: If there is no file.
+        ValueError: If an index is too large.
+    """
+    if command.where.cameras is None:
+        return None
+    cameras = load_cameras_at(command.where.cameras, command.picture.width, command.picture.height)
+    if command.cast.index is None:
+        return cameras
+    if max(command.cast.index) >= len(cameras):
+        raise ValueError(
+            f"--index: expected 0 to {len(cameras) - 1}, as {command.where.cameras} holds {len(cameras)} cameras,"
+            f" got {max(command.cast.index)}"
+        )
+    return cameras[np.array(command.cast.index)]
+
+
+def camera_count(command: Render, given: Cameras | None) -> int:
+    """Return the number of cameras to render."""
+    return len(given) if given is not None else command.cast.orbit or 1
+
+
+def place_cameras(
+    command: Render, source: Source, walk: HeadPath | None = None
+) -> tuple[Cameras, NavigableSpace | None, list[str]]:
+    """Return cameras placed in a scene without a file, the space that they were drawn in, and remarks for the user.
+
+    Raises:
+        SceneError: If there is no navigable space for a sampled camera.
+    """
+    size = {"width": command.picture.width or _WIDTH, "height": command.picture.height or _HEIGHT}
+    fov = command.picture.fov or _FOV
+    up, remarks = _up(command, source)
+    g = source.gaussians
+    if command.cast.eye is None and command.cast.orbit is None:
+        place = find_place(source, command.where, walk)
+        space = place.required("name a place with --eye X Y Z, --orbit N, --box or --around")
+        if command.where.up is None:
+            space = replace(space, up=up)
+        cameras = space.sample_cameras(1, np.random.default_rng(command.seed), fov=fov, **size)
+        more = check_buried(g, cameras.viewpoints, "the sampled eye")
+        return cameras, space, [*remarks, *place.remarks, *more, f" Again: {_options_of(cameras)}"]
+    middle, reach = _extent(g)
+    frame = SourceFrame.from_scene(g)
+    target = middle if command.cast.target is None else frame.points([command.cast.target])[0]
+    if command.cast.eye is not None:
+        eye = frame.points([command.cast.eye])
+        remarks += check_buried(g, eye, "--eye")
+        return Cameras.look_at(eye, target, up=up, fov=fov, **size), None, remarks
+    half = np.tan(np.radians(fov) / 2.0) * min(1.0, size["height"] / size["width"])
+    radius = command.cast.radius or reach / np.sin(np.arctan(half))
+    elevation = _ELEVATION if command.cast.elevation is None else command.cast.elevation
+    return (
+        Cameras.orbit(target, radius, command.cast.orbit or 1, up=up, elevation=elevation, fov=fov, **size),
+        None,
+        remarks,
+    )
+
+
+def check_buried(g: Gaussians, eyes: F64, name: str) -> list[str]:
+    """Return a remark if eyes (P, 3) lie inside something solid."""
+    lost = int(np.count_nonzero(buried(g, np.asarray(eyes, np.float64))))
+    if not lost:
+        return []
+    if len(eyes) > 1:
+        return [
+            f" Expected {name} in free space, got {lost:,} of {len(eyes):,} inside something solid, which fills their"
+            " pictures; leave them out."
+        ]
+    return [f" Expected {name} in free space, got a point inside something solid, which fills the picture; move it."]
+
+
+def _up(command: Render, source: Source) -> tuple[F64, list[str]]:
+    """Return the up axis, and remarks: the user's, the known one, or a guess, with a remark if uncertain."""
+    given = parse_up(command.where.up)
+    known = source.known_up if given is None else given
+    if known is not None:
+        return known, []
+    found = find_up(source.gaussians)
+    doubt = f" The up axis is uncertain ({describe_direction(found.up)} with a confidence of {found.confidence:.0%});"
+    return found.up, [f"{doubt} --up AXIS sets it."] if found.confidence < SURE else []
+
+
+def _extent(g: Gaussians) -> tuple[F64, float]:
+    """Return the (3,) middle of the scene without outliers, and the radius of a ball that holds this part."""
+    low, high = g.bounds(_SHOWN)
+    return 0.5 * (low + high), max(
+        0.5 * float(np.linalg.norm(high - low)), 3.0 * float(np.median(g.scales.max(axis=1)))
+    )
+
+
+def _options_of(camera: Cameras) -> str:
+    """Return the options --eye and --target that give a camera again."""
+    eye = camera.viewpoints[0]
+    return " ".join(
+        f"{name} {' '.join(f'{value:.5g}' for value in point)}"
+        for name, point in (("--eye", eye), ("--target", eye + camera.forwards[0]))
+    )

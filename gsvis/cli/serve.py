@@ -134,6 +134,7 @@ def _supervise(command: Serve) -> None:
 
 
 def _print_address(url: str, command: Serve) -> None:
+    """Print the address of the server and of the page of each scene as JSON."""
     from gsvis.serve.scenes import name_of
     from gsvis.serve.server import page_of
 

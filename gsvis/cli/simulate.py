@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 from gsvis._extras import has, remedy_of
 from gsvis.cli import version
 from gsvis.cli.arguments import Simulate
-from gsvis.cli.made_from import Original, find_original, load_original, own_file
 from gsvis.cli.memory import check_simulation
-from gsvis.cli.options import command_line, config_of, refuse, values_of
-from gsvis.cli.source import check_source
+from gsvis.cli.options import command_line, config_of, naming, refuse, values_of
 from gsvis.cli.targets import check_exists, check_report
 from gsvis.cli.terminal import Status, facts, print_json, say, show
-from gsvis.errors import ArgumentError, FormatError
+from gsvis.errors import FormatError
 from gsvis.io.poses import is_recording, load_path
+from gsvis.io.sources import check_source
 from gsvis.package.manifest import MANIFEST
+from gsvis.package.original import Original, find_original, load_original, own_file
 from gsvis.package.package import Package
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.paths import HeadPath
@@ -178,10 +178,8 @@ def _places(
         whole = command.whole_file[k] if command.whole_file else None
         reference, remark = load_original(originals[k], bool(command.scene))
         own = own_file(originals[k]) if reference is not None else None
-        try:
+        with naming(whole_file="--whole-file"):
             place = _open_place(folder, walk, opened, command, reference, whole)
-        except ArgumentError as error:
-            raise error.renamed("--" + error.name.replace("_", "-")) from None
         places.append(replace(place, remark=_spell_remark(place, remark), own_file=own))
         status("reading", k + 1, len(command.package))
     return places
@@ -197,6 +195,7 @@ def _spell_remark(place: Place, remark: str) -> str:
 def _open_place(
     folder: str, walk: HeadPath, opened: ExitStack, command: Simulate, reference: Gaussians | None, whole: str | None
 ) -> Place:
+    """Open a package or a world to simulate visits in."""
     if is_world(folder):
         from gsvis.world.place import open_place  # seldom needed
 
@@ -209,6 +208,7 @@ def _open_place(
 
 
 def _plain(value: Any) -> Any:
+    """Return a tuple as a list, for JSON; any other value as it is."""
     return list(value) if isinstance(value, tuple) else value
 
 

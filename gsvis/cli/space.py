@@ -11,16 +11,18 @@ import numpy as np
 from gsvis._extras import require
 from gsvis.cli.arguments import Space
 from gsvis.cli.options import changed
-from gsvis.cli.source import Source, check_source, open_source, parse_up
+from gsvis.cli.source import open_source
 from gsvis.cli.targets import check_outputs
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
-from gsvis.cli.where import check_where, find_place, flyaway_remarks, kind_row
+from gsvis.cli.where import check_where, find_place, flyaway_remarks, kind_row, parse_up
 from gsvis.errors import SceneError
 from gsvis.files.atomic import atomic_path
+from gsvis.io.sources import check_source
 from gsvis.io.voxels import VOXELS, save_voxels
 from gsvis.scene.lengths import spell_length, spell_point, spell_volume
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
+from gsvis.scene.source import Source
 
 __all__ = ["run_space"]
 
@@ -115,6 +117,7 @@ def _files(command: Space) -> list[Path]:
 
 
 def _write_voxels(space: NavigableSpace, files: list[Path]) -> dict[str, Any]:
+    """Write solid voxels; return their number, for JSON."""
     from gsvis.edit import solid_voxels
 
     voxels = solid_voxels(space)
@@ -125,6 +128,7 @@ def _write_voxels(space: NavigableSpace, files: list[Path]) -> dict[str, Any]:
 def _write_meshes(
     command: Space, space: NavigableSpace, file: Path, meters: float | None, origin: Sequence[float]
 ) -> dict[str, Any]:
+    """Write the meshes; return what they hold, for JSON."""
     from gsvis.edit import mesh_space
 
     scale = 1.0 if command.frame == "scene" else meters or 1.0

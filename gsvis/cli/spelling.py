@@ -17,7 +17,7 @@ from gsvis.cli.renamed import current_name
 if TYPE_CHECKING:
     from gsvis.cli.arguments import Command
 
-__all__ = ["expand_home", "is_path", "misspelling", "names_of", "paths_first"]
+__all__ = ["axes_as_values", "expand_home", "is_number", "is_path", "misspelling", "names_of", "paths_first"]
 
 _PATHS = frozenset(
     {"DIR", "FILE", "IMAGES", "IN", "OUT", "PACKAGE", "PHOTOS", "SCENE", "STORE"}
@@ -90,6 +90,35 @@ def paths_first(arguments: Sequence[str]) -> list[str]:
     return ["convert", *paths, *options]
 
 
+def axes_as_values(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with the value of --up or --change-up as one word that tyro does not read as an option.
+
+    A space goes before -y, and the three numbers of a direction become one word.
+    """
+    words = list[str]()
+    rest = list(arguments)
+    while rest:
+        word = rest.pop(0)
+        option, equals, value = word.partition("=")
+        if option.replace("_", "-") not in ("--up", "--change-up") or not (equals or rest):
+            words.append(word)
+            continue
+        given = [value if equals else rest.pop(0)]
+        while len(given) < 3 and rest and is_number(rest[0]) and is_number(given[0]):
+            given.append(rest.pop(0))
+        words += [option, " " + " ".join(given)]
+    return words
+
+
+def is_number(word: str) -> bool:
+    """Return whether a word is a number."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
 def expand_home(command: Command) -> Command:
     """Return the command with `~` in its paths replaced by the home folder, and ways through missing folders by others.
 
@@ -104,6 +133,7 @@ def expand_home(command: Command) -> Command:
 
 
 def _plain(path: str) -> str:
+    """Return a path with the home folder in place of `~`, and without a way through a missing folder."""
     found = os.path.expanduser(path)
     if os.pardir not in re.split(r"[/\\]" if os.sep == "\\" else "/", found) or os.path.lexists(found):
         return found
@@ -111,12 +141,14 @@ def _plain(path: str) -> str:
 
 
 def _suggestion(word: str, choices: Iterable[str]) -> str:
+    """Return a phrase that suggests the nearest choice; empty if none is near."""
     from gsvis._check import suggestion  # imports numpy, which help does not need
 
     return suggestion(word, choices)
 
 
 def _kinds() -> tuple[type, ...]:
+    """Return the dataclasses of all commands."""
     from gsvis.cli import arguments
 
     return get_args(arguments.Command)
@@ -135,6 +167,7 @@ def is_path(leaf: Leaf) -> bool:
 
 
 def _choices(leaf: Leaf) -> tuple[str, ...]:
+    """Return the words that an option takes; none if it takes any."""
     plain = get_args(leaf.hint)[0] if leaf.extras else leaf.hint
     return tuple(map(str, get_args(plain))) if get_origin(plain) is Literal else ()
 

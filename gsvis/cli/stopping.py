@@ -1,4 +1,4 @@
-"""Delay Ctrl-C to the end of a step, when unfinished work is consistent and can be kept."""
+"""Delay Ctrl-C to the end of a step, when unfinished work is consistent, and say what is kept of it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,33 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-__all__ = ["between_steps"]
+from gsvis.errors import OutputError
+
+__all__ = ["RESUME", "between_steps", "resumable"]
+
+RESUME = "run the same command to resume"
+"""What to do after an interruption."""
+
+
+@contextmanager
+def resumable(kept: str, then: str = RESUME, *, has: Callable[[], bool] = lambda: True) -> Iterator[None]:
+    """Say what is kept if the block is interrupted or cannot write.
+
+    Args:
+        kept: What is kept, and where.
+        then: What to do after an interruption.
+        has: Returns whether anything is kept by then.
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        if not has():
+            raise
+        raise KeyboardInterrupt(f"{kept}; {then}") from None
+    except OutputError as error:
+        if not has():
+            raise
+        raise error.keeping(kept) from error
 
 
 @contextmanager

@@ -79,6 +79,7 @@ class _Status(_Escaping):
 
 
 def _escape(text: str, is_terminal: bool) -> str:
+    """Return text without characters that move a cursor, but for those of Rich on a terminal."""
     if not is_terminal:
         return as_text(text)
     return "".join(part if at % 2 else as_text(part) for at, part in enumerate(_OF_A_TERMINAL.split(text)))

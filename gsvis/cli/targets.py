@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.cli.source import inputs_of, is_levels
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path, find_interrupted_moves
 from gsvis.files.limits import open_regular
 from gsvis.files.output import check_folder
 from gsvis.io.scenes import WRITTEN
+from gsvis.io.sources import inputs_of, is_levels
 
 __all__ = [
     "check_exists",

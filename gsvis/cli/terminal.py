@@ -169,11 +169,13 @@ class Status(AbstractContextManager["Status"]):
             self._say(text)
 
     def _say(self, line: str) -> None:
+        """Print a line of status, and remember when."""
         self._spoke = _clock()
         say(line)
 
 
 def _bars() -> Progress:
+    """Return the display of bars."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
     from rich.text import Text

@@ -14,15 +14,15 @@ from gsvis._extras import require
 from gsvis._text import as_json
 from gsvis.cli import version
 from gsvis.cli.arguments import Train
-from gsvis.cli.image_size import image_size
-from gsvis.cli.stopping import between_steps
+from gsvis.cli.options import image_size
+from gsvis.cli.stopping import between_steps, resumable
 from gsvis.cli.targets import check_exists, check_new
 from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
-from gsvis.errors import OutputError
 from gsvis.files.atomic import atomic_path, remove_partials
 from gsvis.files.limits import open_regular
 from gsvis.files.output import check_file
 from gsvis.io.scenes import WRITTEN
+from gsvis.prepare.warm import warm_training
 
 if TYPE_CHECKING:
     from gsvis.progress import Progress
@@ -137,11 +137,12 @@ def _config(command: Train) -> TrainConfig:
 
 def _plan(command: Train, config: TrainConfig, status: Status) -> _Plan:
     """Read the photographs and return a plan, before the first step."""
+    from gsvis.render.cuda import choose_backend
     from gsvis.train.initial import gaussians_from_points, random_points
     from gsvis.train.photos import load_photos
     from gsvis.train.trainer import Trainer
 
-    device = _device(command.backend)
+    device = choose_backend(command.backend)
     photos = load_photos(
         command.source,
         images=command.photos.images,
@@ -168,37 +169,6 @@ def _plan(command: Train, config: TrainConfig, status: Status) -> _Plan:
     return _Plan(photos, views, held_out, trainer, text, checkpoint, device)
 
 
-def _device(backend: str) -> str:
-    """Return the device to render on: "cpu" or "cuda".
-
-    Raises:
-        BackendError: If cuda is asked for and cannot run here.
-    """
-    from gsvis.errors import BackendError
-    from gsvis.render.cuda import is_available
-
-    missing = "" if backend == "cpu" else is_available()
-    if backend == "cuda" and missing:
-        raise BackendError(missing)
-    return "cpu" if backend == "cpu" or missing else "cuda"
-
-
-def _warm_up(config: TrainConfig, device: str, status: Status) -> None:
-    """Load the kernels, or compile them once after an installation, so that progress shows this time as a stage."""
-    from gsvis.scene.cameras import Cameras
-    from gsvis.scene.points import PointCloud
-    from gsvis.train.images import PosedImages
-    from gsvis.train.initial import gaussians_from_points
-    from gsvis.train.trainer import Trainer
-
-    status("kernels", 0, 1)
-    around = Cameras.orbit((0.0, 0.0, 0.0), 4.0, 2, width=16, height=16)
-    views = PosedImages(around, np.zeros((2, 16, 16, 3), np.uint8))
-    brief = replace(config, iterations=1, densify=None, evaluate_every=0)
-    Trainer(views, gaussians_from_points(PointCloud(np.eye(3))), brief, held_out=views[:1], device=device).run()
-    status("kernels", 1, 1)
-
-
 def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
     """Train, measure and write the scene; return the JSON record."""
     from gsvis.io import save_scene
@@ -206,36 +176,22 @@ def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
 
     trainer = plan.trainer
     begun: list[int] = []
-    _warm_up(trainer.config, plan.device, status)
-    try:
-        with between_steps() as stop_if_asked:
-            result = trainer.run(
-                checkpoint=plan.checkpoint,
-                checkpoint_seconds=command.checkpoint_seconds,
-                progress=_reporter(trainer, status, begun, stop_if_asked),
-            )
-    except KeyboardInterrupt:
-        if not plan.checkpoint.exists():
-            raise
-        raise KeyboardInterrupt(
-            f"what was trained is kept in {plan.checkpoint.name}; run the same command to resume"
-        ) from None
-    except OutputError as error:
-        if not plan.checkpoint.exists():
-            raise
-        raise error.keeping(f"what was trained is kept in {plan.checkpoint.name}") from error
+    warm_training(trainer.config, plan.device, status)
+    name = plan.checkpoint.name
+    with (
+        resumable(f"what was trained is kept in {name}", has=plan.checkpoint.exists),
+        between_steps() as stop_if_asked,
+    ):
+        result = trainer.run(
+            checkpoint=plan.checkpoint,
+            checkpoint_seconds=command.checkpoint_seconds,
+            progress=_reporter(trainer, status, begun, stop_if_asked),
+        )
     measured = plan.train[::_SEEN_EVERY] if plan.held_out is None else plan.held_out
-    try:
+    with resumable(f"training is done and kept in {name}", "the same command writes the scene"):
         quality = measure_views(result.gaussians, measured, device=plan.device, progress=status)
-        status("writing", 0, 1)
-        save_scene(result.gaussians, command.out)
-        status("writing", 1, 1)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            f"training is done and kept in {plan.checkpoint.name}; the same command writes the scene"
-        ) from None
-    except OutputError as error:
-        raise error.keeping(f"training is done and kept in {plan.checkpoint.name}") from error
+        with status.stage("writing"):
+            save_scene(result.gaussians, command.out)
     cameras = plan.photos.views.cameras
     return {
         "format": "gsvis-training-record",
@@ -293,10 +249,12 @@ def _reporter(trainer: Trainer, status: Status, begun: list[int], stop_if_asked:
 
 
 def _thousands(count: int) -> str:
+    """Return a count in few characters: 12,345 is 12k."""
     return f"{count:,}" if count < 10_000 else f"{count / 1e3:.0f}k"
 
 
 def _write_record(command: Train, document: dict[str, Any]) -> None:
+    """Write the record of the run."""
     with atomic_path(record_of(command)) as partial:
         partial.write_text(as_json(document, indent=1) + "\n", encoding="utf-8")
 

@@ -81,9 +81,10 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[View, Path, str, list[s
                 f"{option}: expected none for a package, a world or a static scene, got {got}; leave it out"
             )
         return command, path, "", []
-    from gsvis.cli.source import open_source, title_of
-    from gsvis.cli.visits import settle_visit
+    from gsvis.cli.asking import settle_visit
+    from gsvis.cli.source import open_source
     from gsvis.export.static import StaticOptions, write_static
+    from gsvis.io.sources import title_of
 
     walk = _check_scene(command)
     with Status() as status:
@@ -152,6 +153,7 @@ def _preparing(command: View, scenes: Scenes, name: str) -> Iterator[None]:
 
 
 def _be_nice() -> None:
+    """Let other processes go first."""
     os.nice(10)
 
 

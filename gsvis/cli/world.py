@@ -13,21 +13,22 @@ import numpy as np
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import World
-from gsvis.cli.made_from import about_files
-from gsvis.cli.options import config_of
-from gsvis.cli.pvs import check_workers, named_memory, open_workers
-from gsvis.cli.source import Source, framed_cameras, is_builtin, is_levels, parse_up, title_of
+from gsvis.cli.options import config_of, naming
+from gsvis.cli.pvs import check_workers, open_workers
+from gsvis.cli.stopping import resumable
 from gsvis.cli.terminal import Status, busy_note, clock, facts, least_size_of, print_json, show, size_of
-from gsvis.cli.where import check_cameras, evidence_cameras
-from gsvis.errors import ArgumentError
+from gsvis.cli.where import check_cameras, evidence_cameras, framed_cameras, parse_up
 from gsvis.files.output import check_folder
 from gsvis.io.batches import align_batches, facts_of_batches, list_batches, read_batch
 from gsvis.io.poses import load_path
 from gsvis.io.scenes import check_scene
+from gsvis.io.sources import is_builtin, is_levels, title_of
 from gsvis.package.made_from import note_paths
+from gsvis.package.original import about_files
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.source import Source
 from gsvis.scene.source_frame import SourceFrame
 
 if TYPE_CHECKING:
@@ -73,16 +74,17 @@ def run_world(command: World) -> None:
                 **(about_files(scenes, command.out) if command.until == "world" else {}),
             }
             work = Path(f"{os.path.abspath(command.out)}.work")
-            try:
-                with open_workers(command.work) as workers, named_memory(TOO_LARGE):
-                    common: dict[str, Any] = {"store": command.work.work, "workers": workers, "progress": status}
-                    if command.until == "world":
-                        made = prepare_world(scenes, command.out, config, about=about, **common)
-                    else:
-                        tiles = write_tiles(scenes, command.out, command.until, config, **common)
-            except KeyboardInterrupt:
-                kept = f"what was finished is kept in {command.work.work or work.name}; run the same command to resume"
-                raise KeyboardInterrupt(kept) from None
+            kept = f"what was finished is kept in {command.work.work or work.name}"
+            with (
+                resumable(kept),
+                open_workers(command.work) as workers,
+                naming(max_memory=f"--max-memory; {TOO_LARGE}"),
+            ):
+                common: dict[str, Any] = {"store": command.work.work, "workers": workers, "progress": status}
+                if command.until == "world":
+                    made = prepare_world(scenes, command.out, config, about=about, **common)
+                else:
+                    tiles = write_tiles(scenes, command.out, command.until, config, **common)
             if command.discard:
                 shutil.rmtree(work, ignore_errors=True)
             elif command.until == "world":
@@ -157,12 +159,10 @@ def _check_arguments(command: World) -> WorldConfig:
         count = len(command.tiling.levels)
         names = ("low", "medium")[:count] if count <= 2 else tuple(f"level{k}" for k in range(count))
         reuse = LevelsConfig.reuse if count == 2 else (0.9,) * count
-        try:
+        with naming(shares="--levels"):
             levels = LevelsConfig(
                 command.tiling.levels, reuse, (*names, _HIGHEST), iterations=command.tiling.steps, seed=command.seed
             )
-        except ArgumentError as error:
-            raise error.renamed("--levels") from None
     package = PrepareConfig(
         levels=levels,
         level_views=replace(PrepareConfig.level_views, seed=command.seed),
@@ -193,6 +193,7 @@ def _place_cameras(command: World, cameras: Cameras, scenes: list[tuple[str, int
 
 
 def _print_estimate(command: World, estimate: WorldEstimate, remarks: list[str]) -> None:
+    """Print what a world would cost."""
     remarks = [each.strip() for each in (*remarks, *estimate.remarks)]
     if command.output.json:
         document = {"format": "gsvis-world-estimate", "version": 1, **asdict(estimate), "remarks": remarks}
@@ -250,6 +251,7 @@ def _how_found(estimate: WorldEstimate) -> str:
 
 
 def _print_tiles(command: World, tiles: list[WrittenTile]) -> None:
+    """Print the tiles that were written."""
     count = sum(tile.gaussians for tile in tiles)
     if command.output.json:
         print_json(
@@ -268,10 +270,12 @@ def _print_tiles(command: World, tiles: list[WrittenTile]) -> None:
 
 
 def _lines(remarks: list[str]) -> list[str]:
+    """Return remarks as lines of `show`."""
     return [f" {each}" for each in remarks]
 
 
 def _print_result(command: World, made: PreparedWorld, remarks: list[str]) -> None:
+    """Print the world that was made."""
     m = made.manifest
     remarks = [each.strip() for each in (*remarks, *m.provenance["remarks"])]
     cells = sum(tile.cells for tile in m.tiles)

@@ -1,4 +1,4 @@
-"""Find start poses for viewers of a static scene: in its cells, or outside of a scene without cells."""
+"""Find start poses for viewers of a static scene: in its cells, in its navigable space, or outside of it."""
 
 from __future__ import annotations
 
@@ -8,13 +8,17 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gsvis.prepare.start_views import choose_start_views
 from gsvis.pvs.cells import CellGrid
 from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.place import Place, find_place
 from gsvis.scene.poses import describe_poses
+from gsvis.scene.source import Source
 
-__all__ = ["Mode", "Start", "rich_poses", "start_poses"]
+__all__ = ["Mode", "Start", "Visit", "find_starts", "plan_visit", "rich_poses", "start_poses"]
 
 F64 = NDArray[np.float64]
 Mode = Literal["orbit", "fly"]
@@ -22,6 +26,7 @@ Mode = Literal["orbit", "fly"]
 # cells that are tried, and directions in each
 _CELLS = 12
 _TURNS = 4
+_DRAWN = 12  # views that those to begin with are chosen from
 _SEEN = 0.25  # least summed weight, pixels, of a Gaussian that counts
 
 
@@ -107,6 +112,60 @@ def rich_poses(g: Gaussians, grid: CellGrid, up: ArrayLike, count: int = 3) -> t
         worth = (view_weights(g, cameras).summed >= _SEEN).sum(axis=1)
         best.append((-int(worth.max()), cell, Start.looking(eye, targets[int(worth.argmax())], above)))
     return tuple(start for _, _, start in sorted(best, key=lambda each: each[:2])[:count])
+
+
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """How a visit of a scene begins.
+
+    Attributes:
+        starts: Upright views that show much of the scene, the best first; None if no eye finds room.
+        up: (3,) unit up axis.
+        remarks: Remarks for the user, such as what is uncertain.
+    """
+
+    starts: tuple[Start, ...] | None
+    up: NDArray[np.float64]
+    remarks: list[str]
+
+
+def plan_visit(source: Source, place: Place | None = None, up: ArrayLike | None = None) -> Visit:
+    """Return how a visit of a scene begins that is not prepared.
+
+    Where the place is uncertain, a remark says so, and views are drawn from where either reading has eyes.
+
+    Args:
+        source: The scene, which is thinned.
+        place: Where eyes may be; found by default.
+        up: (3,) up axis of a scene in which no eye finds room; the known or likely one by default.
+    """
+    some = source.thin()
+    place = place or find_place(some)
+    axis = some.up if up is None else np.asarray(up, np.float64)
+    starts = None if place.space is None else _starts_in(some, place.space)
+    return Visit(starts, axis if place.upright is None else place.upright.up, place.remarks)
+
+
+def find_starts(source: Source, up: ArrayLike) -> tuple[Start, ...] | None:
+    """Return upright views that show much of a scene, the best first; None if no eye finds room.
+
+    They are found among a part of the Gaussians: about two seconds for any scene, and not the views that `gsvis
+    prepare` would choose.
+
+    Args:
+        source: The scene.
+        up: (3,) unit axis that points upwards.
+    """
+    some = source.thin()
+    space, _ = some.navigable(up=up)
+    return None if space is None else _starts_in(some, space)
+
+
+def _starts_in(some: Source, space: NavigableSpace) -> tuple[Start, ...] | None:
+    """Return upright views of a thin scene from a navigable space, the best first; None if no eye finds room."""
+    mode: Mode = "orbit" if space.kind.kind == "object" else "fly"
+    found = describe_poses(choose_start_views(some.gaussians, space, drawn=_DRAWN))
+    return tuple(Start.from_dict(view, mode) for view in found) or None
 
 
 def _across(above: F64) -> F64:

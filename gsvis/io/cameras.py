@@ -22,7 +22,7 @@ from gsvis.io.transforms_json import read_transforms
 from gsvis.io.views import Views, read_json
 from gsvis.scene.cameras import Cameras
 
-__all__ = ["holds_repeated_views", "load_cameras"]
+__all__ = ["holds_repeated_views", "load_cameras", "load_cameras_at"]
 
 _KNOWN = "a COLMAP model (cameras and images, .bin or .txt), transforms.json, cameras.json or report.json"
 
@@ -49,6 +49,34 @@ def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = No
             raise ValueError(f"size: expected (width, height), got {size!r}")
         size = (_check.positive_int("size[0]", size[0]), _check.positive_int("size[1]", size[1]))
     return _views(_check.path("path", path), size).cameras(size)
+
+
+def load_cameras_at(
+    path: str | PathLike[str], width: int | None, height: int | None, *, at_most: int | None = None
+) -> Cameras:
+    """Read at least one posed camera, at a size of which one side may follow from the other.
+
+    Args:
+        path: As in `load_cameras`.
+        width: Pixels; None follows from `height` and the aspect of the file.
+        height: Pixels; None follows from the width and the aspect of the file.
+        at_most: Largest width in pixels if neither side is given; None keeps the size of the file.
+
+    Raises:
+        FileNotFoundError: If there is nothing at `path`.
+        FormatError: If the file cannot be read.
+        ValueError: If the file holds no camera.
+    """
+    both = (width, height) if width and height else None
+    cameras = load_cameras(path, size=both)
+    if len(cameras) == 0:
+        raise ValueError(f"{path}: expected at least one camera, got none")
+    if both is None:
+        aspect = cameras.width / cameras.height
+        across = width or (round(height * aspect) if height else min(at_most or cameras.width, cameras.width))
+        if across != cameras.width or height:
+            cameras = cameras.resize(max(1, across), max(1, height or round(across / aspect)))
+    return cameras
 
 
 def holds_repeated_views(path: str | PathLike[str]) -> bool:

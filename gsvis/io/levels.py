@@ -19,16 +19,16 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.errors import FormatError
+from gsvis.errors import ArgumentError, FormatError
 from gsvis.files.arrow import ArrowFile, write_arrow
-from gsvis.files.atomic import atomic_folder
+from gsvis.files.atomic import atomic_folder, find_interrupted_moves
 from gsvis.files.fields import Fields
 from gsvis.files.limits import Budget, digest_of, safe_name
 from gsvis.io.ply import load_ply, save_ply
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
-__all__ = ["MAP", "LevelsInfo", "check_names", "levels_info", "load_levels", "save_levels"]
+__all__ = ["MAP", "LevelsInfo", "check_levels_target", "check_names", "levels_info", "load_levels", "save_levels"]
 
 MAP = "levels.arrow"
 """File name of the map."""
@@ -162,6 +162,38 @@ def levels_info(folder: str | os.PathLike[str]) -> LevelsInfo:
         OSError: If it cannot be opened.
     """
     return _info(ArrowFile(_check.path("folder", folder) / MAP, FORMAT, VERSION))
+
+
+def check_levels_target(folder: str | os.PathLike[str], names: Sequence[str], what: str) -> LevelsInfo | None:
+    """Raise if writing levels to a folder would replace a PLY that no map of levels knows.
+
+    Args:
+        folder: The folder, which may not exist.
+        names: Names of the levels.
+        what: What may be replaced, such as "levels of this scene".
+
+    Returns:
+        The map in the folder; None without.
+
+    Raises:
+        ArgumentError: If it would, or the map cannot be read; its name is "folder".
+    """
+    target = Path(os.path.abspath(folder))
+    wanted = f"expected a new folder, or {what} to replace, got {os.fspath(folder)}"
+    known = find_interrupted_moves(target)
+    info = None
+    if (target / MAP).exists():
+        try:
+            info = levels_info(target)
+        except FormatError as error:
+            problem = f"{wanted}, which cannot be read ({error})"
+            raise ArgumentError("folder", problem, "name another, or delete it") from None
+        known |= {*info.files}
+    for name in names:
+        if (target / f"{name}.ply").exists() and f"{name}.ply" not in known:
+            problem = f"{wanted}, which has a {name}.ply that no {MAP} knows"
+            raise ArgumentError("folder", problem, "name another, or move it away")
+    return info
 
 
 def _batches(levels: Levels) -> Iterator[pa.RecordBatch]:

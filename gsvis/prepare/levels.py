@@ -6,8 +6,10 @@ import hashlib
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsvis.jobs.resume import folder_beside
 from gsvis.progress import Progress, silent
@@ -17,6 +19,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.judged import Judged
 from gsvis.scene.levels import Levels
 from gsvis.scene.view_sampling import ViewSampling
+from gsvis.train.history import Record
 from gsvis.train.level_quality import LevelQuality, judge_levels, measure_levels
 from gsvis.train.level_views import LevelViews
 from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
@@ -49,6 +52,53 @@ class MadeLevels:
     def warning(self) -> str | None:
         """The warning of the first level that has one."""
         return next((each.warning for each in self.judged if each.warning), None)
+
+    def record(self, g: Gaussians, views: LevelViews, config: LevelsConfig) -> dict[str, Any]:
+        """Return how the levels were made and how good they are, for JSON; equal runs give equal records.
+
+        Args:
+            g: The scene.
+            views: Images for training and for measurement.
+            config: Sizes and training of the levels.
+        """
+        levels = self.trained.levels
+        # Renders to train on are smaller than what was asked for.
+        cameras = views.views.cameras if views.choose_by is None else views.choose_by
+        rows = []
+        for k, name in enumerate(levels.names):
+            row: dict[str, Any] = {
+                "name": name,
+                "gaussians": levels.counts[k],
+                "share": levels.counts[k] / len(g),
+                "reuse": levels.reuse[k] if k < len(levels.reuse) else None,
+            }
+            if self.quality is not None:
+                row["psnr"] = _spread(self.quality.scene_psnr[k]) if k < len(levels.reuse) else None
+                row["psnr_photographs"] = (
+                    None if self.quality.photo_psnr is None else _spread(self.quality.photo_psnr[k])
+                )
+                row["brightness"] = float(self.quality.brightness[k])
+            if k < len(self.judged):
+                row["judged"] = self.judged[k].as_dict()
+            if name in self.trained.histories:
+                row["curve"] = [_step(record) for record in self.trained.histories[name]]
+            rows.append(row)
+        return {
+            "scene_sha256": scene_hash(g),
+            "gaussians": len(g),
+            "union": len(levels.union),
+            "overhead": levels.overhead,
+            "views": {
+                "from": views.cameras_from,
+                "photographs": views.photographs,
+                "trained_on": len(views.views),
+                "held_out": 0 if views.held_out is None else len(views.held_out),
+                "width": cameras.width,
+                "height": cameras.height,
+            },
+            "config": asdict(config),
+            "levels": rows,
+        }
 
 
 def make_levels(
@@ -114,3 +164,14 @@ def find_levels_work(out: str | os.PathLike[str], g: Gaussians, views: LevelView
     for array in (views.views.images, views.views.cameras.viewmats, views.views.cameras.Ks):
         digest.update(np.ascontiguousarray(array).data)
     return folder_beside(out, [scene_hash(g), asdict(config), digest.hexdigest()], hidden=True)
+
+
+def _spread(values: NDArray[np.float64]) -> dict[str, float]:
+    """Return the mean and the least of the values (C,) of views."""
+    return {"mean": float(values.mean()), "worst": float(values.min())}
+
+
+def _step(record: Record) -> dict[str, Any]:
+    """Return one point of a curve, without times, which differ from run to run."""
+    point = record.as_json()
+    return {"step": point["step"], "loss": point["loss"], "gaussians": point["count"], "psnr": point["psnr"]}

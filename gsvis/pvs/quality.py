@@ -6,7 +6,8 @@ set alone are compared with images of the full scene. Scene frame and units. Mem
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from gsvis.pvs.viewpoints import CellViewpoints
 from gsvis.raycast import EllipsoidProxies, Tracer, visible_from
 from gsvis.render import psnr, rasterize, view_weights
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.content import space_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels, as_levels
 from gsvis.scene.navigable import NavigableSpace
@@ -37,7 +39,9 @@ __all__ = [
     "box_space",
     "bytes_of_one",
     "dense_union",
+    "find_build_space",
     "measure_quality",
+    "space_of_store",
 ]
 
 F32 = NDArray[np.float32]
@@ -179,6 +183,40 @@ def dense_union(g: Gaussians, eyes: F64, tau: float, *, size: int = 128, progres
 def bytes_of_one(g: Gaussians) -> int:
     """Return the bytes of one Gaussian in a 3DGS file: center, rotation, scales, opacity and SH, 32 bits a number."""
     return 4 * (3 + 4 + 3 + 1 + 3 * (g.sh_degree + 1) ** 2)
+
+
+def find_build_space(store: VisibilityStore, spaces: Iterable[NavigableSpace]) -> tuple[NavigableSpace | None, bool]:
+    """Return the space that a store was built in and True, else one of the same grid and False; None if there is none.
+
+    Args:
+        store: The store.
+        spaces: Spaces of its scene, the likeliest first.
+    """
+    found = list(spaces)
+    for space in found:
+        if store.info.config.get("space") == space_hash(space):
+            return space, True
+    return next((space for space in found if np.array_equal(space.origin, store.grid.origin)), None), False
+
+
+def space_of_store(store: VisibilityStore, spaces: Iterable[NavigableSpace], g: Gaussians) -> NavigableSpace:
+    """Return the space that a store was built in, or the closest one that its cells allow.
+
+    Args:
+        store: The store.
+        spaces: Spaces of its scene, the likeliest first.
+        g: The scene.
+    """
+    space, is_same = find_build_space(store, spaces)
+    if space is None or is_same:
+        return space or box_space(store.grid, g)
+    voxels = np.argwhere(space.free)
+    held = voxels[store.grid.cell_at(space.origin + space.voxel_size * (voxels + 0.5)) >= 0]
+    if not len(held):
+        return box_space(store.grid, g)
+    free = np.zeros_like(space.free)
+    free[tuple(held.T)] = True
+    return replace(space, free=free, rule=f"{space.rule}, in the cells")
 
 
 def box_space(grid: CellGrid, g: Gaussians) -> NavigableSpace:

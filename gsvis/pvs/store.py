@@ -10,7 +10,8 @@ from __future__ import annotations
 import weakref
 from collections.abc import Iterable, Sequence
 from functools import cached_property
-from os import PathLike
+from os import PathLike, fspath
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -19,10 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 from pyroaring import BitMap
 
 from gsvis import _check
-from gsvis.errors import FormatError
+from gsvis.errors import ArgumentError, FormatError
 from gsvis.files.cache import Cache
 from gsvis.files.joined import JoinedFiles
-from gsvis.files.limits import DAMAGED
+from gsvis.files.limits import DAMAGED, open_regular
 from gsvis.files.sections import SectionFile
 from gsvis.progress import Progress, silent
 from gsvis.pvs import _head as head
@@ -36,7 +37,7 @@ from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels, levels_record, union_of
 
-__all__ = ["CellSet", "StoreInfo", "StoreWriter", "VisibilityStore", "write_store"]
+__all__ = ["CellSet", "StoreInfo", "StoreWriter", "VisibilityStore", "check_store_target", "write_store"]
 
 Words = NDArray[np.uint64]
 U8 = NDArray[np.uint8]
@@ -512,3 +513,33 @@ class VisibilityStore:
 
 def _has(words: Words, place: int) -> bool:
     return bool(int(words[place >> 6]) >> (place & 63) & 1)
+
+
+def check_store_target(path: str | PathLike[str], scene: str | None = None) -> None:
+    """Raise if writing a store would replace a file of another kind, or the complete store of another scene.
+
+    Args:
+        path: The file, which may not exist.
+        scene: `scene_hash` of the scene of the new store; None checks the kind of the file alone.
+
+    Raises:
+        ArgumentError: If it would; its name is "path".
+    """
+    target = Path(path)
+    if not target.is_file() or target.stat().st_size == 0:
+        return
+    try:
+        with VisibilityStore.open(target) as store:
+            found = store.info.scene
+    except FormatError:
+        with open_regular(target) as file:
+            if file.read(6) == FILE_KIND.magic[:6]:
+                return  # a damaged store may be replaced
+        problem = f"expected a new file or a store to replace, got {fspath(path)}, which is something else"
+        raise ArgumentError("path", problem, "name another") from None
+    if scene not in (None, found):
+        problem = (
+            f"expected a new file, or a store of this scene to replace, got {fspath(path)}, which is of the scene with"
+            f" the hash {found[:12]}..."
+        )
+        raise ArgumentError("path", problem, "name a new file")

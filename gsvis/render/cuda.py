@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis._extras import remedy_of
+from gsvis._extras import has, remedy_of
+from gsvis.errors import BackendError
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.lengths import length_factor
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
     from gsvis.render.tensors import GaussianTensors
 
-__all__ = ["is_available", "rasterize_cuda"]
+__all__ = ["choose_backend", "is_available", "rasterize_cuda"]
 
 
 def is_available() -> str:
@@ -35,6 +36,22 @@ def is_available() -> str:
     except ImportError as error:
         return f"backend 'cuda': expected an importable gsplat, got '{error}'; {remedy_of('gsplat')}"
     return ""
+
+
+def choose_backend(asked: str) -> str:
+    """Return the backend to use: the one asked for; for "auto", "cuda" if it can run here, else "cpu".
+
+    Raises:
+        BackendError: If "cuda" is asked for and cannot run here.
+    """
+    if asked not in ("auto", "cuda"):
+        return asked
+    if asked == "auto" and not has("gsplat"):  # `is_available` imports torch, which takes longer than a small render
+        return "cpu"
+    missing = is_available()
+    if asked == "cuda" and missing:
+        raise BackendError(missing)
+    return "cpu" if missing else "cuda"
 
 
 def rasterize_cuda(

@@ -245,6 +245,12 @@ class Cameras:
         moved[:, :3, 3] += self.viewmats[:, :3, :3] @ _check.floats("origin", origin, (3,), np.float64)
         return Cameras(moved, self.Ks, self.width, self.height, self.names)
 
+    def evenly(self, count: int) -> Cameras:
+        """Return `count` of the cameras, evenly spaced, in their order; all if there are no more."""
+        if count >= len(self):
+            return self
+        return self[np.floor(np.arange(count) * len(self) / count).astype(int)]
+
     def resize(self, width: int, height: int) -> Cameras:
         """Return the same views at another resolution."""
         _check.positive_int("width", width)

@@ -35,9 +35,9 @@ class Blocked:
 def make_quick() -> None:
     """Compile nothing ahead, draw few pixels, count few voxels, and let a server end as soon as it runs."""
     import gsvis.cli.analyze as analyze
-    import gsvis.cli.kernels as kernels
     import gsvis.cli.terminal as terminal
     import gsvis.edit.shape as shape
+    import gsvis.prepare.warm as kernels
     from gsvis.serve import Server
 
     for name in ("warm_sets", "warm_levels", "warm_colors"):

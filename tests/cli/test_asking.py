@@ -16,14 +16,15 @@ import pytest
 from gsvis.cli import asking, main
 from gsvis.cli.asking import Settled, settle
 from gsvis.cli.options import Placed, Shown
-from gsvis.cli.showing import Choice, find_choices
-from gsvis.cli.source import Source
 from gsvis.cli.targets import check_show
 from gsvis.cli.terminal import Status
-from gsvis.cli.where import Evidence, Place, find_place
+from gsvis.cli.where import find_place
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.kinds import SpaceKind
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.place import Evidence, Place
+from gsvis.scene.readings import Choice, find_choices
+from gsvis.scene.source import Source
 from gsvis.scene.upright import Upright
 
 Capture = pytest.CaptureFixture[str]

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from gsvis.cli.options import Placed, Where
-from gsvis.cli.source import Source
-from gsvis.cli.where import Place, find_place
+from gsvis.cli.where import find_place
 from gsvis.io.poses import write_poses
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.paths import HeadPath
+from gsvis.scene.place import Place
+from gsvis.scene.source import Source
 from tests.scene.places import apartment, discs, sheet
 
 TURN = np.array([[0.8, -0.6, 0.0], [0.36, 0.48, -0.8], [0.48, 0.64, 0.6]])

@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsvis.cli import clean_large, main, parse
+from gsvis.cli import main, parse
 from gsvis.cli.arguments import Clean
 from gsvis.cli.asking import Settled
 from gsvis.cli.options import Shown
-from gsvis.cli.source import Source
 from gsvis.cli.terminal import Status
-from gsvis.cli.where import Place
 from gsvis.edit import class_of
 from gsvis.io import load_scene, save_scene
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.place import Place
 from gsvis.scene.procedural import random_scene
+from gsvis.scene.source import Source
 from tests.edit.worlds import dirty_room
 
 BOX = ["--box", "0.3", "0.3", "0.3", "2", "4.7", "2.7"]
@@ -153,8 +153,8 @@ def test_a_scene_that_does_not_fit_is_cleaned_in_tiles(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("gsvis.edit.memory.BASE", 598_000_000)
-    monkeypatch.setattr(clean_large, "_LEAST", 100)
-    monkeypatch.setattr(clean_large, "_MOST_UNSEEN", 0.0)
+    monkeypatch.setattr("gsvis.cli.clean._LEAST", 100)
+    monkeypatch.setattr("gsvis.cli.clean._MOST_UNSEEN", 0.0)
     scene, out = str(folder / "dirty.ply"), str(tmp_path / "clean.ply")
     words = ["clean", scene, "-o", out, "--max-memory", "600MB", "--eyes", "3", "--held-out", "0", "--up", "+z"]
     assert main([*words, "--json"]) == 0
@@ -178,7 +178,7 @@ def test_a_remark_says_that_most_is_never_seen(
     words = ["clean", str(folder / "dirty.ply"), "--eyes", "3", "--held-out", "0", "--up", "+z"]
     assert main(words) == 0
     assert "is never seen" not in capsys.readouterr().out
-    monkeypatch.setattr(clean_large, "_MOST_UNSEEN", 0.0)
+    monkeypatch.setattr("gsvis.cli.clean._MOST_UNSEEN", 0.0)
     assert main(words) == 0
     assert "0% is never seen from where eyes were found" in " ".join(capsys.readouterr().out.split())
 

@@ -215,10 +215,10 @@ def test_scenes_that_cannot_serve_are_refused_with_a_remedy(
 ) -> None:
     (tmp_path / "scene.ply").touch()
     base = [tmp_path / "scene.ply", "-o", tmp_path / "a.arrow", *QUICK]
-    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: Gaussians.empty())
+    monkeypatch.setattr("gsvis.io.scenes.load_scene", lambda path, lod=None: Gaussians.empty())
     assert "nothing to color" in refused(capsys, *base)
     faint = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.001], np.zeros((1, 1, 3)), np.ones((1, 3, 3)))
-    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: faint)
+    monkeypatch.setattr("gsvis.io.scenes.load_scene", lambda path, lod=None: faint)
     message = refused(capsys, *base)
     assert "no navigable space" in message
     assert "with --box, or give visible sets with --pvs" in message

@@ -14,7 +14,6 @@ import pytest
 
 from gsvis.cli import main, parse
 from gsvis.cli.arguments import Analyze, Convert, Inspect
-from gsvis.cli.source import evenly
 from gsvis.files.output import check_folder
 from gsvis.io import load_scene, save_scene
 from gsvis.io.facts import spell_facts
@@ -310,7 +309,7 @@ def test_nothing_left_is_refused_and_nothing_written(ply: Path, tmp_path: Path, 
 
 def test_an_empty_scene_cannot_be_analyzed(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "empty.ply").touch()
-    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: Gaussians.empty())
+    monkeypatch.setattr("gsvis.io.scenes.load_scene", lambda path, lod=None: Gaussians.empty())
     assert "no Gaussian" in refused(capsys, "analyze", tmp_path / "empty.ply", "-o", tmp_path / "out")
 
 
@@ -352,7 +351,7 @@ def test_a_bug_is_reported_in_one_line(ply: Path, capsys: Capture, monkeypatch: 
     def broken(path: object, lod: object = None) -> Gaussians:
         raise TypeError("something\nodd")
 
-    monkeypatch.setattr("gsvis.io.load_scene", broken)
+    monkeypatch.setattr("gsvis.io.scenes.load_scene", broken)
     assert main(["inspect", str(ply)]) == 1
     assert capsys.readouterr().err.startswith("gsvis: internal error: TypeError: something odd; please report")
 
@@ -363,7 +362,7 @@ def test_a_polite_end_is_an_interrupt(ply: Path, capsys: Capture, monkeypatch: p
         raise AssertionError("not reached")
 
     before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setattr("gsvis.io.load_scene", ended)
+    monkeypatch.setattr("gsvis.io.scenes.load_scene", ended)
     assert main(["inspect", str(ply)]) == 130
     assert capsys.readouterr().err == "gsvis: interrupted; nothing was left half-written\n"
     assert signal.getsignal(signal.SIGTERM) is before
@@ -371,8 +370,8 @@ def test_a_polite_end_is_an_interrupt(ply: Path, capsys: Capture, monkeypatch: p
 
 def test_cameras_are_taken_at_even_steps() -> None:
     cameras = Cameras.orbit((0, 0, 0), 1.0, 10)
-    assert evenly(cameras, 3).names == ("00000", "00003", "00006")
-    assert evenly(cameras, 99) is cameras
+    assert cameras.evenly(3).names == ("00000", "00003", "00006")
+    assert cameras.evenly(99) is cameras
 
 
 def test_checking_a_folder_leaves_no_trace(tmp_path: Path) -> None:

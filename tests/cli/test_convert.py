@@ -163,7 +163,7 @@ def test_a_page_holds_the_converted_scene_upright(monkeypatch: pytest.MonkeyPatc
         path.write_text("page")
 
     monkeypatch.setattr("gsvis.export.write_html", record)
-    monkeypatch.setattr(convert, "find_starts", lambda source, up: None)
+    monkeypatch.setattr("gsvis.export.start.find_starts", lambda source, up: None)
     words = ["convert", "a.ply", "b.ply", "-o", "c.html", "--change-up", "-y:+z", "--rotate", "90", "0", "0"]
     assert main([*words, "--min-opacity", "0.5"]) == 0
     merged = merge_scenes([FIRST, SECOND])
@@ -173,7 +173,7 @@ def test_a_page_holds_the_converted_scene_upright(monkeypatch: pytest.MonkeyPatc
     assert main(["convert", "builtin:two_rooms", "d.html", "--rotate", "0", "90", "0", "--sh-degree", "0"]) == 0
     assert found["up"] == (1.0, 0.0, 0.0)  # the rooms have a known up axis, +z
     plus_y = Upright(np.array([0.0, 1.0, 0.0]), 1.0, "")
-    monkeypatch.setattr("gsvis.cli.source.find_up", lambda g, **more: plus_y if len(g) > 30_000 else None)
+    monkeypatch.setattr("gsvis.scene.source.find_up", lambda g, **more: plus_y if len(g) > 30_000 else None)
     assert main(["convert", "builtin:two_rooms", "a.ply", "-o", "e.html", "--rotate", "0", "0", "90"]) == 0
     assert found["up"] == (-1.0, 0.0, 0.0)  # guessed of all together
 

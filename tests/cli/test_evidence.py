@@ -10,9 +10,9 @@ import pytest
 
 from gsvis.cli import parse
 from gsvis.cli.options import Placed, Where, value_of
-from gsvis.cli.source import Source, parse_up
-from gsvis.cli.where import check_where, find_place
+from gsvis.cli.where import check_where, find_place, parse_up
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.source import Source
 from tests.scene.places import apartment
 
 OBLIQUE = np.array([0.1, -0.98, 0.17])

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from gsvis.cli import main
-from gsvis.cli.made_from import about_files, about_source
-from gsvis.cli.source import load_source
 from gsvis.io import load_scene, save_scene
 from gsvis.io.poses import write_poses
+from gsvis.io.sources import load_source
 from gsvis.package import PackageInfo, in_package_order, write_package
+from gsvis.package.original import about_files, about_source
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
 from tests.package.worlds import colors_of

@@ -175,7 +175,7 @@ def test_nothing_of_the_users_is_replaced(ply: Path, photos: Path, tmp_path: Pat
     out = tmp_path / "out"
     out.mkdir()
     (out / "low.ply").write_text("mine")
-    assert "expected a folder without low.ply" in refused(capsys, ply, "-o", out, *base)
+    assert "which has a low.ply that no levels.arrow knows" in refused(capsys, ply, "-o", out, *base)
     (out / "low.ply").unlink()
     (out / "notes.txt").write_text("mine")  # not in the way
     document(capsys, ply, "-o", out, *base)
@@ -275,12 +275,12 @@ def test_scenes_that_cannot_serve_are_refused_with_a_remedy(
     ply: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     base = [ply, "-o", tmp_path / "out", *QUICK]
-    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: Gaussians.empty())
+    monkeypatch.setattr("gsvis.io.scenes.load_scene", lambda path, lod=None: Gaussians.empty())
     assert "nothing to make levels of" in refused(capsys, *base)
     faint = Gaussians(np.zeros((9, 3)), [[1, 0, 0, 0]] * 9, np.ones((9, 3)), [0.001] * 9, np.zeros((9, 1, 3)))
-    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: faint)
+    monkeypatch.setattr("gsvis.io.scenes.load_scene", lambda path, lod=None: faint)
     assert "--photos" in refused(capsys, *base)
-    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: faint[:5])
+    monkeypatch.setattr("gsvis.io.scenes.load_scene", lambda path, lod=None: faint[:5])
     assert "expected at least 2 Gaussians in each level, got 0.25 of 5; larger shares" in refused(capsys, *base)
     assert list(tmp_path.iterdir()) == []
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from gsvis.cli import main
-from gsvis.cli.source import load_source
 from gsvis.color import load_srbf, srbf_info
 from gsvis.io.levels import MAP, load_levels, save_levels
+from gsvis.io.sources import load_source
 from gsvis.pvs import VisibilityStore
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import two_rooms

@@ -223,13 +223,13 @@ def test_scenes_that_cannot_serve_are_refused_with_a_remedy(
 ) -> None:
     (tmp_path / "scene.ply").touch()
     base = [tmp_path / "scene.ply", "-o", tmp_path / "a.pvs", *QUICK]
-    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: Gaussians.empty())
+    monkeypatch.setattr("gsvis.io.scenes.load_scene", lambda path, lod=None: Gaussians.empty())
     assert "nothing to see" in refused(capsys, *base)
     block = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[9, 9, 9]], [0.99], np.zeros((1, 1, 3)))
-    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: block)
+    monkeypatch.setattr("gsvis.io.scenes.load_scene", lambda path, lod=None: block)
     assert "something solid; give" in refused(capsys, *base, "--box", "-1", "-1", "-1", "1", "1", "1")
     faint = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.001], np.zeros((1, 1, 3)))
-    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: faint)
+    monkeypatch.setattr("gsvis.io.scenes.load_scene", lambda path, lod=None: faint)
     assert "--box" in refused(capsys, *base)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["scene.ply"]
 

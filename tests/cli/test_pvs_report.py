@@ -12,9 +12,9 @@ import pytest
 from gsvis.cli import main, parse
 from gsvis.cli.arguments import PvsReport
 from gsvis.cli.pvs_report import JUDGES, _viewpoints
-from gsvis.cli.source import load_source
 from gsvis.errors import SceneError
 from gsvis.io import save_scene
+from gsvis.io.sources import load_source
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig

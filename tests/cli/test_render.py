@@ -15,9 +15,9 @@ from PIL import Image
 
 from gsvis.cli import main, parse
 from gsvis.cli.arguments import Render
-from gsvis.cli.render import _backend
 from gsvis.io import load_scene, save_scene
 from gsvis.render import rasterize
+from gsvis.render.cuda import choose_backend
 from gsvis.report.frames import target_of
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -357,26 +357,26 @@ def test_values_out_of_range_exit_with_2_and_say_which(words: list[str], message
 
 
 def test_a_backend_that_cannot_run_says_why(ply: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gsvis.cli.render.is_available", lambda: "backend 'cuda': expected a GPU; use backend='cpu'")
+    monkeypatch.setattr("gsvis.render.cuda.is_available", lambda: "backend 'cuda': expected a GPU; use backend='cpu'")
     assert "expected a GPU" in refused(capsys, ply, "-o", ply.parent / "a.png", "--backend", "cuda")
 
 
 def test_without_gsplat_nobody_waits_for_torch_to_be_imported(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
-    monkeypatch.setattr("gsvis.cli.render.is_available", lambda: asked.append("torch") or "")
-    monkeypatch.setattr("gsvis.cli.render.has", lambda package: package != "gsplat")
-    assert (_backend("auto"), _backend("cpu"), asked) == ("cpu", "cpu", [])
-    monkeypatch.setattr("gsvis.cli.render.has", lambda package: True)
-    assert (_backend("auto"), asked) == ("cuda", ["torch"])
+    monkeypatch.setattr("gsvis.render.cuda.is_available", lambda: asked.append("torch") or "")
+    monkeypatch.setattr("gsvis.render.cuda.has", lambda package: package != "gsplat")
+    assert (choose_backend("auto"), choose_backend("cpu"), asked) == ("cpu", "cpu", [])
+    monkeypatch.setattr("gsvis.render.cuda.has", lambda package: True)
+    assert (choose_backend("auto"), asked) == ("cuda", ["torch"])
 
 
 def test_scenes_with_nothing_to_see_or_nowhere_to_stand(
     ply: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: Gaussians.empty())
+    monkeypatch.setattr("gsvis.io.scenes.load_scene", lambda path, lod=None: Gaussians.empty())
     assert "no Gaussian" in refused(capsys, ply, "-o", ply.parent / "a.png")
     faint = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.001], np.zeros((1, 1, 3)))
-    monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: faint)
+    monkeypatch.setattr("gsvis.io.scenes.load_scene", lambda path, lod=None: faint)
     assert "--eye" in refused(capsys, ply, "-o", ply.parent / "a.png")
     assert [path.name for path in ply.parent.iterdir()] == ["rooms.ply"]
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from gsvis.cli import main
-from gsvis.cli.source import load_source
 from gsvis.io import save_scene
+from gsvis.io.sources import load_source
 from gsvis.scene.inspection import inspect_scene
 from gsvis.scene.procedural import OCCLUDER_SCENES
 
@@ -21,7 +21,7 @@ Capture = pytest.CaptureFixture[str]
 def test_space_is_the_same_in_other_units_and_far_away(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gsvis.cli.source.builtin_scene", lambda name: OCCLUDER_SCENES[name](2000, sh_degree=0))
+    monkeypatch.setattr("gsvis.io.sources.builtin_scene", lambda name: OCCLUDER_SCENES[name](2000, sh_degree=0))
     monkeypatch.setattr("gsvis.scene.stated._RESOLUTION", 64)
     g = load_source("builtin:two_rooms", None).gaussians
     far = g.with_facts(replace(g.facts, origin=(1e6, 1e6, 1e6)))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gsvis.cli import main
-from gsvis.cli.shown import is_package, load_shown
 from gsvis.package.package import Package
+from gsvis.package.shown import is_package, load_shown
 from gsvis.package.unpack import unpack_levels
 from tests.stream.worlds import package_of
 

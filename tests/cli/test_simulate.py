@@ -17,12 +17,12 @@ import pytest
 from benchmarks._worlds import small_street
 from gsvis.cli import main, parse
 from gsvis.cli.arguments import Simulate
-from gsvis.cli.made_from import Original
 from gsvis.cli.memory import NEEDS, count_gaussians, expected_memory
 from gsvis.cli.simulate import _originals
 from gsvis.io import save_scene
 from gsvis.io.poses import write_poses
 from gsvis.package import in_package_order, write_package
+from gsvis.package.original import Original
 from gsvis.scene.levels import Levels
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.procedural import two_rooms

@@ -12,11 +12,12 @@ import pytest
 
 from gsvis.cli import main
 from gsvis.cli.options import Where
-from gsvis.cli.source import Source, load_source
 from gsvis.cli.where import find_place
+from gsvis.io.sources import load_source
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.procedural import OCCLUDER_SCENES, furnished_flat, two_rooms
 from gsvis.scene.similarity import Similarity
+from gsvis.scene.source import Source
 from gsvis.scene.stated import stated_space
 from tests.scene.places import apartment
 
@@ -26,7 +27,7 @@ QUICK = ["--views", "3", "--width", "12", "--height", "9", "--traced-sample", "0
 
 @pytest.fixture(autouse=True)
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gsvis.cli.source.builtin_scene", lambda name: OCCLUDER_SCENES[name](4000, sh_degree=0))
+    monkeypatch.setattr("gsvis.io.sources.builtin_scene", lambda name: OCCLUDER_SCENES[name](4000, sh_degree=0))
     monkeypatch.setattr("gsvis.scene.stated._RESOLUTION", 64)
     monkeypatch.setattr("gsvis.cli.analyze.PICTURE", 24)
 
@@ -41,7 +42,7 @@ def said_by(capsys: Capture, *words: object) -> dict[str, Any]:
 def test_what_a_builtin_scene_states_of_its_eyes_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """An eye in one room of the flat would shut those behind its doors."""
     flat = furnished_flat(2000, sh_degree=0)
-    monkeypatch.setattr("gsvis.cli.source.builtin_scene", lambda name: flat)
+    monkeypatch.setattr("gsvis.io.sources.builtin_scene", lambda name: flat)
     assert flat.gaussians.facts.box is not None
     assert load_source("builtin:flat", None).gaussians.facts == flat.gaussians.facts
 

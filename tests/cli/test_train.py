@@ -149,7 +149,7 @@ def test_what_cannot_be_is_refused_before_the_work(
     photos: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Trainer, "advance", lambda self: pytest.fail("a step was taken"))
-    monkeypatch.setattr("gsvis.cli.train._warm_up", lambda *words: None)
+    monkeypatch.setattr("gsvis.cli.train.warm_training", lambda *words: None)
     out = tmp_path / "scene.ply"
     assert "nowhere: no such file" in refused(capsys, tmp_path / "nowhere", "-o", out)
     assert "expected a COLMAP model" in refused(capsys, tmp_path, "-o", out)

@@ -8,16 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsvis.cli import convert, main
+from gsvis.cli import main
 from gsvis.cli.options import Where
-from gsvis.cli.source import Source, inspect_scene_of, load_source, navigable_space, up_of, up_to_turn
+from gsvis.cli.source import inspect_scene_of
 from gsvis.cli.where import find_place
 from gsvis.export.start import Start
 from gsvis.io.gltf_splats_writer import save_glb
 from gsvis.io.levels import save_levels
 from gsvis.io.ply import save_ply
+from gsvis.io.sources import load_source
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import box_in_room, random_scene
+from gsvis.scene.source import Source
 from gsvis.scene.upright import Upright, find_up
 
 Capture = pytest.CaptureFixture[str]
@@ -41,7 +43,7 @@ def no_guess(monkeypatch: pytest.MonkeyPatch) -> None:
     def guess(g: object, **more: object) -> None:
         raise AssertionError("the up axis was guessed")
 
-    for name in ("cli.source.find_up", "cli.views.find_up", "cli.where.find_up"):
+    for name in ("scene.source.find_up", "cli.render.find_up", "scene.place.find_up"):
         monkeypatch.setattr(f"gsvis.{name}", guess)
     for module in ("_looking", "inspection", "stated"):
         monkeypatch.setattr(f"gsvis.scene.{module}.find_up", guess)
@@ -54,10 +56,10 @@ def no_guess(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_what_is_stated_is_not_guessed(folder: Path, name: str, up: tuple[float, ...], spelled: str) -> None:
     source = load_source(str(folder / name), None)
-    assert up_of(source).tolist() == list(up)
+    assert source.up.tolist() == list(up)
     assert inspect_scene_of(source)["up"] == spelled
     wheres = [Where(), Where(around=()), Where(box=(1.0, 1.0, 1.0, 2.0, 2.0, 2.0))]
-    for space in (navigable_space(source)[0], *(find_place(source, where).space for where in wheres)):
+    for space in (source.navigable()[0], *(find_place(source, where).space for where in wheres)):
         assert space is not None
         assert space.up.tolist() == list(up)
 
@@ -77,7 +79,7 @@ def test_merged_gltf_keeps_its_axis(folder: Path, tmp_path: Path, monkeypatch: p
         axes.append(tuple(up))
         return None
 
-    monkeypatch.setattr(convert, "find_starts", find_starts)
+    monkeypatch.setattr("gsvis.export.start.find_starts", find_starts)
     files = [str(folder / "a.glb"), str(folder / "no_suffix")]
     assert main(["convert", *files, "-o", str(tmp_path / "both.html")]) == 0
     assert axes == [(0.0, 1.0, 0.0)]
@@ -87,11 +89,11 @@ def test_the_rest_is_guessed(folder: Path, tmp_path: Path, monkeypatch: pytest.M
     for name in ("a.ply", "silent"):
         source = load_source(str(folder / name), None)
         assert source.known_up is None
-        assert np.allclose(up_of(source), [0.0, 0.0, 1.0], atol=1e-3)
+        assert np.allclose(source.up, [0.0, 0.0, 1.0], atol=1e-3)
     axes: list[tuple[float, ...]] = []
-    monkeypatch.setattr(convert, "find_starts", lambda source, up: axes.append(tuple(up)))
+    monkeypatch.setattr("gsvis.export.start.find_starts", lambda source, up: axes.append(tuple(up)))
     minus_x = Upright(np.array([-1.0, 0.0, 0.0]), 1.0, "")
-    monkeypatch.setattr("gsvis.cli.source.find_up", lambda g, **more: minus_x)
+    monkeypatch.setattr("gsvis.scene.source.find_up", lambda g, **more: minus_x)
     assert main(["convert", str(folder / "a.glb"), str(folder / "a.ply"), "-o", str(tmp_path / "mixed.html")]) == 0
     assert axes == [(-1.0, 0.0, 0.0)]
 
@@ -99,4 +101,4 @@ def test_the_rest_is_guessed(folder: Path, tmp_path: Path, monkeypatch: pytest.M
 def test_a_scene_that_tells_little_is_not_turned_by_an_oblique_angle() -> None:
     g = random_scene(np.random.default_rng(0), 100)
     assert find_up(g, check=False).confidence < 0.5
-    assert sorted(np.abs(up_to_turn(Source("blob", g))).tolist()) == [0.0, 0.0, 1.0]
+    assert sorted(np.abs(Source("blob", g).steady_up).tolist()) == [0.0, 0.0, 1.0]

@@ -12,7 +12,6 @@ import pytest
 
 from gsvis.cli import main, parse
 from gsvis.cli.options import Placed, Where, changed, value_of
-from gsvis.cli.source import Source
 from gsvis.cli.where import check_where, find_place, suspect_views
 from gsvis.errors import SceneError
 from gsvis.io import save_scene
@@ -21,6 +20,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.procedural import two_rooms
+from gsvis.scene.source import Source
 from tests.scene.places import apartment, box, discs, filled, outside, statue
 
 Capture = pytest.CaptureFixture[str]

@@ -1,4 +1,4 @@
-"""Load what a command only shows: any scene, or a package as its levels with SH colors."""
+"""Load a scene or a package to look at it: a package gives its levels, with SH colors fitted to its own."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from gsvis.cli.source import Source, check_source, is_builtin, load_source, title_of
+from gsvis.io.sources import check_source, is_builtin, load_source, title_of
+from gsvis.scene.source import Source
 
 __all__ = ["check_shown", "is_package", "judged_of", "load_shown"]
 

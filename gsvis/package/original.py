@@ -1,4 +1,4 @@
-"""Say in a package what it was made from, and find that scene again to compare with."""
+"""Record in a package which scene it is made from, and find that scene again to compare with."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gsvis.cli.source import Source, is_builtin, is_levels, load_source
 from gsvis.errors import FormatError, SceneError
 from gsvis.files.limits import digest_of
+from gsvis.io.sources import is_builtin, is_levels, load_source
 from gsvis.package.made_from import KEY, MadeFrom, candidates_of, made_from_of, path_from_package
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.source import Source
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
