@@ -399,7 +399,7 @@ class Simulate:
     """Level of detail of a streamed --scene; 0 is the finest."""
     whole_file: Annotated[tuple[str, ...], readers.FILES, hint("the best of SOG and SPZ")] = ()
     """A file or folder of each scene; its size is used for the whole file."""
-    as_is: Flag = False
+    no_retarget: Flag = False
     """Leave the path where it is, even outside of the scene."""
     seed: Seed = 0
     max_memory: Annotated[Memory, hint("no bound; worlds must fit this machine")] = None

@@ -13,6 +13,7 @@ _FACES = dict.fromkeys(("pvs", "cut", "paint"), "--face-size")
 _IMAGES = dict.fromkeys(("train", "levels", "prepare"), "--width and --height")
 
 RENAMED: dict[str, dict[str, str]] = {
+    "--as-is": {"simulate": "--no-retarget"},
     "--camera": {"render": "--cameras"},
     "--compression": {"convert": "--ksplat-compression"},
     "--hold-out": {"train": "--test-every"},

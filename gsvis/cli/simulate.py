@@ -199,12 +199,12 @@ def _open_place(
     if is_world(folder):
         from gsvis.world.place import open_place  # seldom needed
 
-        given: Any = {"as_is": command.as_is, "seed": command.seed}
+        given: Any = {"as_is": command.no_retarget, "seed": command.seed}
         return open_place(folder, walk, reference=reference, whole_file=whole, **given)
     from gsvis.simulate.visits import Place
 
     package = opened.enter_context(Package.open(folder))
-    return Place.open(package, reference=reference, whole_file=whole, as_is=command.as_is)
+    return Place.open(package, reference=reference, whole_file=whole, as_is=command.no_retarget)
 
 
 def _plain(value: Any) -> Any:

@@ -42,7 +42,7 @@ __all__ = ["AS_IS", "WALKED", "Place", "Visit", "judged_in", "simulate_visits"]
 WALKED = 0.9
 """Share of a walk in cells below which a report warns."""
 
-AS_IS = "if the path lies in the scene, ask for it as it is (--as-is)"
+AS_IS = "if the path lies in the scene, ask for it as it is (--no-retarget)"
 """What to do about a scene without a space to walk in."""
 
 Picture = tuple[float, str, NDArray[np.float32]]

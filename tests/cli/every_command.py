@@ -49,7 +49,7 @@ COMMANDS = {
     "paint": f"paint {{ply}} -o {{out}}/a.ply --values {{out}}/a.npy --face-size 16 --eyes 1 --overwrite {BOX}",
     "space": "space {ply} -o {out}/a.voxel.json --overwrite",
     "export": "export {package} -o {out}/site",
-    "simulate": "simulate {package} --path {walk} -o {out} --as-is --seconds 1 --every 0.5 --width 32 --height 24"
+    "simulate": "simulate {package} --path {walk} -o {out} --no-retarget --seconds 1 --every 0.5 --width 32 --height 24"
     " --whole-file {ply}",
 }
 

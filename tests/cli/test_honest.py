@@ -22,7 +22,7 @@ from tests.simulate.streets import walk
 
 pytestmark = pytest.mark.usefixtures("blank_plots")
 Capture = pytest.CaptureFixture[str]
-QUICK = ["--seconds", "0.5", "--every", "0.5", "--width", "24", "--height", "16", "--mbit", "0.2", "--as-is"]
+QUICK = ["--seconds", "0.5", "--every", "0.5", "--width", "24", "--height", "16", "--mbit", "0.2", "--no-retarget"]
 ITSELF = "against the package itself"
 
 

@@ -69,7 +69,7 @@ def test_it_writes_a_report_and_prints_tables(
     folder: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    words = ["simulate", street(folder), "--path", str(folder / "walk.csv"), "-o", "report", "--as-is", *QUICK]
+    words = ["simulate", street(folder), "--path", str(folder / "walk.csv"), "-o", "report", "--no-retarget", *QUICK]
     assert main(words) == 0
     text = capsys.readouterr().out
     assert "report/report.html" in text.split()
@@ -84,7 +84,7 @@ def test_it_writes_a_report_and_prints_tables(
 @pytest.mark.usefixtures("blank_plots")
 def test_json_is_the_document_and_its_command_makes_it_again(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     words = ["simulate", street(folder), str(folder / "rooms.gsvis"), "--path", str(folder / "walk.csv")]
-    words += ["-o", str(tmp_path), "--trace", str(folder / "link.txt"), "--visits", "3", "--as-is", *QUICK[:-2]]
+    words += ["-o", str(tmp_path), "--trace", str(folder / "link.txt"), "--visits", "3", "--no-retarget", *QUICK[:-2]]
     words += ["--policy", "fov-first", "--whole-file", str(folder / "walk.csv"), str(folder / "street")]
     assert main([*words, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -117,11 +117,11 @@ def test_what_cannot_be_is_refused_in_one_line(folder: Path, tmp_path: Path, cap
     assert "leave it out" in refused(capsys, *begin, "--trace", folder / "link.txt", "--mbit", "3")
     assert "one for each package, 1, got 2" in refused(capsys, *begin, "--scene", "a.ply", "b.ply")
     assert "--whole-file: expected one for each" in refused(capsys, *begin, "--whole-file", "a", "b")
-    assert "manifest" in refused(capsys, "simulate", folder, *begin[2:], "--as-is")
+    assert "manifest" in refused(capsys, "simulate", folder, *begin[2:], "--no-retarget")
     (tmp_path / "bad.txt").write_text("1 2 3\n")
-    assert "expected two numbers" in refused(capsys, *begin, "--trace", tmp_path / "bad.txt", "--as-is")
+    assert "expected two numbers" in refused(capsys, *begin, "--trace", tmp_path / "bad.txt", "--no-retarget")
     (tmp_path / "empty").mkdir()
-    assert "which is empty" in refused(capsys, *begin, "--whole-file", tmp_path / "empty", "--as-is")
+    assert "which is empty" in refused(capsys, *begin, "--whole-file", tmp_path / "empty", "--no-retarget")
     assert not (tmp_path / "report").exists()
 
 
@@ -149,7 +149,15 @@ def test_a_path_that_sees_nothing_has_no_headline(folder: Path, tmp_path: Path, 
     path = walk(3.0)
     far = HeadPath(path.times, path.positions + np.array([0.0, 1e4, 0.0]), path.quats, path.up)
     write_poses(far, tmp_path / "far.csv")
-    words = ["simulate", street(folder), "--path", str(tmp_path / "far.csv"), "-o", str(tmp_path / "out"), "--as-is"]
+    words = [
+        "simulate",
+        street(folder),
+        "--path",
+        str(tmp_path / "far.csv"),
+        "-o",
+        str(tmp_path / "out"),
+        "--no-retarget",
+    ]
     assert main([*words, *QUICK]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "The path sees nothing of scene in any of" in text
