@@ -196,7 +196,7 @@ def _print_estimate(command: World, estimate: WorldEstimate, remarks: list[str])
     """Print what a world would cost."""
     remarks = [each.strip() for each in (*remarks, *estimate.remarks)]
     if command.output.json:
-        document = {"format": "gsvis-world-estimate", "version": 1, **asdict(estimate), "remarks": remarks}
+        document = {"format": "gsvis-world-estimate", "version": 2, **asdict(estimate), "remarks": remarks}
         times = {str(count): estimate.seconds_with(count) for count in (estimate.workers, *_more_workers(estimate))}
         print_json(
             {
@@ -244,8 +244,6 @@ def _how_found(estimate: WorldEstimate) -> str:
     spent = clock(estimate.spent)
     if trial.eyes == 0.0:
         return f"no tile that was tried has room for eyes, so it takes longer if others have; in {spent} of a core"
-    if not trial.tiles:
-        return f"times by constants, as trying would take a large part of the work; in {spent} of a core"
     eyes = f"about {trial.eyes:.0%} of the tiles have room for eyes"
     return f"times by trying {trial.tiles} of {estimate.tiles:,} tiles, in {spent} of a core; {eyes}"
 

@@ -22,7 +22,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import NUM_FACES, face_directions, face_shares
 from gsvis.scene.sh import sh_basis
 
-__all__ = ["FitConfig", "SrbfFit", "face_weights", "fit_srbf"]
+__all__ = ["FitConfig", "SrbfFit", "face_weights", "fit_srbf", "fitted_for_price"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -178,6 +178,11 @@ def fit_srbf(
         terms.append(assemble(config, fitted, pursuit.directions))
         progress("fit", part.stop, n)
     return _join(config, terms, price, int((weights.max(axis=1, initial=0.0) <= 0.0).sum()))
+
+
+def fitted_for_price(count: int, config: FitConfig) -> int:
+    """Return how many of `count` Gaussians `fit_srbf` fits once more, to find the price of a term."""
+    return min(count, _SAMPLE) if config.mean_terms is not None and config.max_terms > 0 else 0
 
 
 def sample_colors(g: Gaussians) -> F32:

@@ -1,15 +1,14 @@
 """Estimate the preparation of a package: what is done, what is left, and what it costs. Writes nothing.
 
-Visible sets are estimated from a few cells. The rest comes from the time of one view and from constants measured
-earlier. Times are rough: they distinguish minutes from hours.
+Visible sets are estimated from a few cells, the other stages from a little of each (`trial`).
 """
 
 from __future__ import annotations
 
-import math
 import os
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,51 +22,23 @@ from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.memory import kept_memory, left_for_sets
 from gsvis.prepare.prepare import stages_of
 from gsvis.prepare.stages import Stages
+from gsvis.prepare.trial import StageTrial
 from gsvis.progress import Progress, silent
 from gsvis.pvs.estimate import estimate_pvs
 from gsvis.pvs.memory import expected_memory
 from gsvis.pvs.store import VisibilityStore
-from gsvis.render.rasterizer import rasterize
-from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.scene.view_sampling import ViewSampling
-from gsvis.train.choosing import count_looks
-from gsvis.train.level_views import CHOOSING, WIDE
-from gsvis.train.levels import SUBSETS, LevelsConfig, frozen_sizes
+from gsvis.train.levels import SUBSETS
 
 __all__ = ["PreparationEstimate", "StageEstimate", "estimate_preparation"]
 
 _clock = time.perf_counter  # tests set another
 
-# Measured on flowers LOD 2, nika LOD 0 and showroom LOD 3 on two quiet cores (docs/design/022), in times of one narrow
-# view of the scene.
-_WIDE_VIEW = 0.8  # a view to train on: smaller, but wide
-_PRUNED_VIEW = 1.0  # a look that chooses by photos, which are taken to be as many as views
-# a look that chooses without photos; added to it if all Gaussians are in sight
-_LOOK = 0.7
-_LOOK_SHARE = 2.8
-# a training step, one of all Gaussians, what 16 SH coefficients add
-_STEP_VIEW = 0.25
-_STEP_SHARE = 1.0
-_STEP_SH = 1.6
-_WEIGHED_VIEW = 0.75  # a view that measures importance
-# a view that measures what rounding costs, and one of what a client gets
-_COST_VIEW = 6.0
-_CLIENT_VIEW = 12.0
-
-_LEVELS_START = 3.0  # seconds until torch and the kernels of training are loaded
-_STEP = 0.01  # seconds of each training step
-# Seconds for each Gaussian and core.
-_BASE_FIT = 2e-5
-_TERMS_FIT = 3e-4
-_RECORDS = 6e-6
-
 _CODED = 1 << 15  # Gaussians that are coded for the size of records
 _PACKED_TERM = 0.78  # size of coded terms over their raw size
 _FILES = 10_000  # bytes of a package besides records, terms and sets
-_VIEWS_TIMED = 5
 _IMAGES = 5  # of a view that measures what a client gets
 
 
@@ -150,14 +121,12 @@ class _Estimator:
         self.workers = workers
         self.config = stages.config
         self.load = machine_load()
-        self.cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         self.known = stages.reuse_levels()
         self.levels = _stand_in(stages) if self.known is None else self.known
         self.counts = self.levels.counts if self.known is not None else _counts(stages)
         top = self.levels.counts[-1]
         self.union = len(self.levels.union) if self.known is not None else top + _own(stages)
         self.found: list[StageEstimate] = []
-        self._timed: dict[ViewSampling, float] = {}
 
     def all(self) -> PreparationEstimate:
         """Return the estimate of all stages."""
@@ -170,9 +139,12 @@ class _Estimator:
         if store is not None:
             store.close()
         term_bytes = _PACKED_TERM * bytes_per_term(self.config.colors.fit.variant, "wire") * terms
-        nbytes = int(self.union * bytes_of_record(self.levels, _CODED) + term_bytes + disk) + _FILES
+        began = _clock()
+        record = bytes_of_record(self.levels, _CODED)
+        seconds = (_clock() - began) * self.union / min(_CODED, len(self.levels.union))
+        nbytes = int(self.union * record + term_bytes + disk) + _FILES
         what = f"{self.union:,} records, {terms:,} terms"
-        self.found.append(StageEstimate("package", "to do", what, _RECORDS * self.union, 0))
+        self.found.append(StageEstimate("package", "to do", what, seconds, 0))
         return PreparationEstimate(
             tuple(self.found),
             self.union,
@@ -195,31 +167,10 @@ class _Estimator:
         if self.known is not None:
             self.found.append(StageEstimate("levels", "done", sizes, 0.0, nbytes))
             return
-        begun = stages.work.at(f"{stages.levels_name}.begun")
-        views = self.config.level_views
-        left = 1.0 if not (begun / SUBSETS).exists() else 0.0
-        looks = views.count * _WIDE_VIEW + left * self._choice(config)
-        of_all = _STEP_SHARE + _STEP_SH * self.levels.union.shN.shape[1] / 15.0
-        shares = [count / self.counts[-1] for count in self.counts[:-1]]
-        looks += config.iterations * sum(_STEP_VIEW + of_all * share for share in shares)
-        seconds = looks * self.view_seconds(views)
-        seconds += _LEVELS_START + _STEP * config.iterations * (len(self.counts) - 1)
-        state = "to do" if left else "begun"
+        chosen = (stages.work.at(f"{stages.levels_name}.begun") / SUBSETS).exists()
+        seconds = self.trial.training(config, photos=stages.photos is not None, chosen=chosen)
         what = f"{sizes}; {config.iterations:,} steps each"
-        self.found.append(StageEstimate("levels", state, what, seconds, nbytes))
-
-    def _choice(self, config: LevelsConfig) -> float:
-        """Return what the choice of frozen Gaussians costs, in views."""
-        stages = self.stages
-        views = self.config.level_views
-        counts = frozen_sizes(_sizes(stages))
-        if stages.photos is not None:
-            rounds = math.ceil(math.log(counts[-1] / self.counts[-1]) / math.log(1 - config.prune_share))
-            return views.count * rounds * _PRUNED_VIEW
-        assert isinstance(stages.scene, Gaussians)
-        tried = replace(views, count=16, fov=max(views.fov, WIDE)).cameras(stages.scene, stages.space)
-        looks, share = count_looks(stages.scene, tried, counts, of=CHOOSING * views.count, space=stages.space)
-        return looks * (_LOOK + _LOOK_SHARE * share)
+        self.found.append(StageEstimate("levels", "begun" if chosen else "to do", what, seconds, nbytes))
 
     def _sets(self) -> tuple[VisibilityStore | None, int, int]:
         """Return the store if it exists, bytes on disk, and memory."""
@@ -254,7 +205,6 @@ class _Estimator:
         """Return the colors if they exist."""
         stages = self.stages
         fit = self.config.colors.fit
-        degree = self.levels.union.sh_degree
         terms = self._expect_terms()
         aim = f"up to {terms:,} terms" if terms else "no terms: no color depends on direction"
         what = f"{self.union:,} colors, variant {fit.variant}; {aim}"
@@ -267,10 +217,7 @@ class _Estimator:
                 what = f"{len(exact):,} colors, variant {exact.variant}, {exact.num_terms:,} terms"
                 self.found.append(StageEstimate("colors", "done", what, 0.0, path.stat().st_size))
                 return exact
-        seconds = self.union * (_TERMS_FIT if degree else _BASE_FIT) / self.cores
-        if degree:
-            views = self.config.colors.views
-            seconds += views.count * len(self.counts) * _WEIGHED_VIEW * self.view_seconds(views)
+        seconds = self.trial.colors(self.union)
         self.found.append(StageEstimate("colors", "to do", what, seconds, nbytes))
         return None
 
@@ -280,7 +227,7 @@ class _Estimator:
         if exact is not None and self.stages.work.whole(self.stages.cost_name(self.levels, exact)):
             self.found.append(StageEstimate("cost", "done", what, 0.0, 100))
             return
-        seconds = _COST_VIEW * views.count * self.view_seconds(views)
+        seconds = self.trial.cost()
         self.found.append(StageEstimate("cost", "to do", what, seconds, 100))
 
     def _fidelity(self, exact: SrbfColors | None, store: VisibilityStore | None) -> None:
@@ -294,25 +241,13 @@ class _Estimator:
         ):
             self.found.append(StageEstimate("fidelity", "done", what, 0.0, 4000))
             return
-        seconds = _CLIENT_VIEW * views.count * self.view_seconds(views)
+        seconds = self.trial.fidelity()
         self.found.append(StageEstimate("fidelity", "to do", what, seconds, 4000))
 
-    def view_seconds(self, views: ViewSampling) -> float:
-        """Return the seconds to draw the whole scene once at the size of these views."""
-        if views not in self._timed:
-            scene = self.levels.level(len(self.levels) - 1)
-            cameras = replace(views, count=_VIEWS_TIMED + 1).cameras(scene, self.stages.space)
-            rasterize(scene, cameras[0])  # loads the kernels
-            # Of two times the shorter one: other work on the machine can only add to a time.
-            taken = [min(self._draw(scene, cameras[c]) for _ in range(2)) for c in range(1, len(cameras))]
-            self._timed[views] = sum(taken) / len(taken)
-        return self._timed[views]
-
-    @staticmethod
-    def _draw(scene: Gaussians, camera: Cameras) -> float:
-        began = _clock()
-        rasterize(scene, camera)
-        return _clock() - began
+    @cached_property
+    def trial(self) -> StageTrial:
+        """A little of each stage."""
+        return StageTrial(self.levels, self.stages.space, self.config, _clock)
 
     def _ply_bytes(self) -> float:
         return float(4 * (14 + 3 * self.levels.union.shN.shape[1]))

@@ -24,7 +24,7 @@ from gsvis.train.level_quality import LevelQuality, judge_levels, measure_levels
 from gsvis.train.level_views import LevelViews
 from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
 
-__all__ = ["MadeLevels", "find_levels_work", "make_levels"]
+__all__ = ["MadeLevels", "count_eyes", "find_levels_work", "judge", "make_levels"]
 
 
 _USUAL = 12  # held-out views from which there are as many to judge as elsewhere
@@ -139,15 +139,20 @@ def make_levels(
     judged = tuple[Judged, ...]()
     if held_out is not None:
         quality = measure_levels(trained.levels, held_out, photographs=views.photographs, progress=progress)
-        judged = _judge(trained.levels, views, config.seed, progress)
+        judged = judge(trained.levels, views, config.seed, progress)
     return MadeLevels(trained, quality, judged)
 
 
-def _judge(levels: Levels, views: LevelViews, seed: int, progress: Progress) -> tuple[Judged, ...]:
+def count_eyes(held_out: int) -> int:
+    """Return the number of eyes of each rule that judge levels, for a number of held-out views."""
+    return count_views(held_out, _USUAL)
+
+
+def judge(levels: Levels, views: LevelViews, seed: int, progress: Progress = silent) -> tuple[Judged, ...]:
     """Return the quality of levels at builder's and judge's eyes; uses few eyes if few views are held out."""
     assert views.held_out is not None
     held_out = views.held_out.cameras
-    count = count_views(len(held_out), _USUAL)
+    count = count_eyes(len(held_out))
     width = min(_WIDTH, held_out.width)
     small = ViewSampling(count, width, max(1, round(held_out.height * width / held_out.width)), _FOV, seed, _STREAM)
     if views.space is None:

@@ -7,12 +7,13 @@ fog, where others cover the same place. The images decide.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsvis.render.removal import removal_effects
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.images import PosedImages
 
-__all__ = ["fit_opacities"]
+__all__ = ["fit_opacities", "views_used"]
 
 _VIEWS = 20  # of each turn
 _TURNS = 2
@@ -21,6 +22,16 @@ _DAMPING = 0.5  # many change the same pixel at once
 _LEAST = 0.3
 _MOST = 1.5
 _RANGE = 0.01, 0.99  # range of opacities
+
+
+def views_used(count: int) -> int:
+    """Return how many views `fit_opacities` looks at if it gets `count`, in all turns together."""
+    return sum(len(_views_of(turn, count)) for turn in range(_TURNS))
+
+
+def _views_of(turn: int, count: int) -> NDArray[np.int64]:
+    """Return the views of a turn."""
+    return np.unique(np.arange(turn * _VIEWS, (turn + 1) * _VIEWS) % count)
 
 
 def fit_opacities(merged: Gaussians, stays: Gaussians, views: PosedImages) -> Gaussians:
@@ -39,7 +50,7 @@ def fit_opacities(merged: Gaussians, stays: Gaussians, views: PosedImages) -> Ga
             The same Gaussians with new opacities.
     """
     for turn in range(_TURNS):
-        some = np.unique(np.arange(turn * _VIEWS, (turn + 1) * _VIEWS) % len(views))
+        some = _views_of(turn, len(views))
         both = Gaussians.concatenate([stays, merged])
         effects = removal_effects(both, views.cameras[some], images=views.images[some])
         squared = effects.squared[len(stays) :]

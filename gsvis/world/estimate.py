@@ -1,8 +1,7 @@
 """Estimate the preparation of a world: tiles, time, memory, disk and core hours. Keeps nothing.
 
-A sample of the rows gives the tiles. A few of them are tried, so that times follow the scene and the machine; that is
-left out where it would cost more than a small part of the work, and the rest comes from constants. The first run on a
-machine compiles kernels as well, which takes about a minute.
+A sample of the rows gives the tiles. A few of them are tried, so that times follow the scene and the machine. The first
+run on a machine compiles kernels as well, which takes about a minute.
 """
 
 from __future__ import annotations
@@ -21,11 +20,9 @@ from gsvis.jobs.graph import Facts
 from gsvis.jobs.objects import open_store
 from gsvis.jobs.workers import Workers
 from gsvis.progress import Progress, silent
-from gsvis.pvs.cell_count import MOST_CELLS
 from gsvis.pvs.coded_size import BESIDE
 from gsvis.train.levels import LevelsConfig
 from gsvis.world.build import WorldBuild, plan_districts
-from gsvis.world.coding import TileBytes
 from gsvis.world.config import WorldConfig
 from gsvis.world.packages import tile_memory
 from gsvis.world.standing import distances_of, nodes_around, own_districts
@@ -34,20 +31,6 @@ from gsvis.world.trial import Trial, try_tiles
 __all__ = ["WorldEstimate", "estimate_world"]
 
 _clock = time.process_time  # tests set another
-
-# A dry run may take this much processor time beside reading, and this share of the work that constants expect.
-_LEAST_BUDGET = 10.0
-_BUDGET_SHARE = 0.04
-_MOST_BUDGET = 40.0
-
-# Where no tile is tried: seconds for each tile; for each and for each Gaussian in it, or in and around it.
-_SPACE = 0.9
-_VIEW = 0.003
-_VIEW_ROW = 2e-7
-_CHOICE = 3.0
-_CHOICE_ROW = 5e-4
-_CELL = 0.5
-_CELL_ROW = 2e-5
 
 # Seconds of processor with compiled kernels, from flowers LOD 3 in 10,000s, nika LOD 2 in 20,000s, guitar in 40,000s
 # and a part of showroom LOD 2 in 80,000s, each with 30 steps (docs/design/089).
@@ -60,18 +43,6 @@ _LOOK_ROW = 7e-7
 # for the districts of a tile, and for each Gaussian of its lowest level
 _DISTRICT = 0.3
 _DISTRICT_ROW = 4e-6
-# once; with training, for each tile and each Gaussian
-_TORCH = 3.0
-_TRAINED = 1.2
-_TRAINED_ROW = 5e-6
-# for each step of a lower level, and in views of its tile
-_STEP = 0.017
-_STEP_VIEWS = 1.3
-_USUAL = 0.375  # size of a lower level as a share of a tile's, with which steps were measured
-# for each lower level of a tile: first opacities of its merged Gaussians
-_FILL = 0.1
-_FILL_ROW = 1.3e-5
-_LARGE = 2.0  # a view to measure on, in views to train on
 # for each tile with room for eyes, and for each Gaussian
 _PACKAGE = 0.4
 _PACKAGE_ROW = 1.3e-5
@@ -82,14 +53,6 @@ _BARE_ROW = 3e-5
 _TRACERS = 0.1
 _TRACED = 4e-6
 _TWICE = 1.7e-5
-# for each Gaussian without SH, with SH; those that give a price
-_BASE_FIT = 1.3e-5
-_TERMS_FIT = 3.3e-4
-_PRICED = 6144
-# a view of the importance of colors, of the cost of rounding, of a client's
-_WEIGHED = 0.78
-_COST = 3.7
-_CLIENT = 3.5
 _AROUND = 7.5  # most Gaussians in and around a tile, in those of the tile
 # the same of the tile with most of them: at most, and times the root of tiles
 _MOST_AROUND = 12.0
@@ -101,13 +64,6 @@ _ALL_TILES = ("tiling", "spaces", "districts")  # stages with a task for each ti
 
 _UNSURE = 1.03  # times what a sample says of the fullest tile
 _PEAK = 0.85  # of what a limit of memory has to allow
-
-# Where no tile is tried: bytes of a Gaussian in a package; for each Gaussian in and around a tile, direction sets and
-# what a cell sees of it; where eyes may be in one.
-_RECORD = 13.6
-_DIRECTIONS = 2.0
-_SET = 0.2
-_SPACE_BYTES = 3_500_000
 
 # Bytes of files, from flowers LOD 3, nika LOD 2 and guitar (docs/design/089).
 _TERM = 3.5  # of a term
@@ -214,10 +170,8 @@ def estimate_world(
         count = sum(each["gaussians"] for each in facts)
         degree = max(each["sh_degree"] for each in facts)
         sizes = _Sizes(config, count, len(expected), degree)
-        trial = sizes.by_constants()
-        budget = min(max(_LEAST_BUDGET, _BUDGET_SHARE * sum(sizes.seconds(trial).values())), _MOST_BUDGET)
         progress("trying tiles", 0, 1)
-        trial = try_tiles(build, trial, int(sizes.joint - sizes.each), budget)
+        trial = try_tiles(build, int(sizes.joint - sizes.each))
         progress("trying tiles", 1, 1)
         seconds = sizes.seconds(trial)
         world, kept = _bytes(sizes, trial, build)
@@ -252,7 +206,6 @@ class _Sizes:
         own: Gaussians of all levels of a tile, in those of the tile.
         drawn: The same, those in several levels as often.
         lowest: Gaussians of all lowest levels.
-        cells: Most cells of a tile.
     """
 
     def __init__(self, config: WorldConfig, count: int, tiles: int, degree: int) -> None:
@@ -267,14 +220,6 @@ class _Sizes:
         self.own = 1.0 + (0.0 if levels is None else sum(a * (1.0 - b) for a, b in _lower(levels)))
         self.drawn = 1.0 + sum(self.shares)
         self.lowest = count * (self.shares[0] if self.shares else 1.0)
-        self.cells = config.package.cells or MOST_CELLS
-
-    def by_constants(self) -> Trial:
-        """Return what a tile takes by constants."""
-        choice = _CHOICE + _CHOICE_ROW * self.each if self.shares else 0.0
-        cell = _CELL + _CELL_ROW * self.joint
-        nbytes = TileBytes(_RECORD, _DIRECTIONS * self.joint, _SET * self.joint, _SPACE_BYTES)
-        return Trial(1.0, _SPACE, _VIEW + _VIEW_ROW * self.each, choice, float(self.cells), cell, nbytes)
 
     def seconds(self, trial: Trial) -> dict[str, float]:
         """Return the seconds of processor of each stage."""
@@ -286,33 +231,16 @@ class _Sizes:
         return {
             "tiling": _START + _TILING * self.count,
             "spaces": trial.space * tiles,
-            "levels": seen * self._levels(trial) + (_TORCH if self.shares else 0.0),
+            "levels": seen * trial.levels,
             "districts": _DISTRICT * tiles + _DISTRICT_ROW * self.lowest,
             "nodes": seen * self.config.looks * (_LOOK + _LOOK_ROW * (lowest + far)),
             "packages": seen * self._package(trial) + bare,
         }
 
-    def _levels(self, trial: Trial) -> float:
-        """Return the seconds to make the levels of a tile with room for eyes."""
-        package = self.config.package
-        if package.levels is None:
-            return _TRAINED_ROW * self.each
-        views = package.level_views.count + package.level_held_out * (_LARGE + len(self.shares) + 1)
-        steps = package.levels.iterations * sum(_STEP + _STEP_VIEWS * trial.view * a / _USUAL for a in self.shares)
-        fill = len(self.shares) * (_FILL + _FILL_ROW * self.each)
-        return _TRAINED + _TRAINED_ROW * self.each + views * trial.view + trial.choice + steps + fill
-
     def _package(self, trial: Trial) -> float:
         """Return the seconds to make the package of a tile with room for eyes."""
-        package = self.config.package
-        union = self.own * self.each
         sets = _TRACERS + (_TRACED * self.drawn + _TWICE) * self.joint + trial.cells * trial.cell
-        views = _COST * package.cost_views.count + _CLIENT * package.fidelity_views.count
-        fit = _BASE_FIT * union
-        if self.degree:
-            fit = _TERMS_FIT * (union + min(union, _PRICED))
-            views += _WEIGHED * package.colors.views.count * (1 + len(self.shares))
-        return _PACKAGE + _PACKAGE_ROW * union + sets + fit + views * trial.view
+        return _PACKAGE + _PACKAGE_ROW * self.own * self.each + sets + trial.colors
 
 
 def _bytes(sizes: _Sizes, trial: Trial, build: WorldBuild) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Try a few tiles of a world: where eyes may be in them, what views, looks and a cell take there, and bytes of files.
+"""Try a few tiles of a world: where eyes may be in them, what levels, colors and a cell take there, and bytes of files.
 
 Times are processor time of one core, so they follow the machine and not what else it does. Scenes are read once more
 for the rows of these tiles. Scene frame and units.
@@ -21,17 +21,12 @@ from gsvis.io.batches import read_batch
 from gsvis.jobs.graph import Facts
 from gsvis.prepare.coded_size import bytes_of_record
 from gsvis.prepare.config import PrepareConfig
+from gsvis.prepare.trial import StageTrial
 from gsvis.pvs.build import plan_work
 from gsvis.pvs.cell_count import MOST_CELLS
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
-from gsvis.render.rasterizer import rasterize
-from gsvis.render.removal import removal_effects
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.in_sight import InSight
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.train.choosing import count_looks
-from gsvis.train.level_views import views_to_choose, views_to_train
-from gsvis.train.levels import frozen_sizes
 from gsvis.world.build import WorldBuild, far_from_walk
 from gsvis.world.coding import (
     TileBytes,
@@ -50,10 +45,6 @@ __all__ = ["Trial", "try_tiles"]
 _clock = time.process_time  # tests set another
 
 _MOST_TILES = 8  # tiles that are read
-_TIMED = 6  # views and looks of a tile; one more before them loads the kernels
-_POLLED = 16  # cameras from which the number of looks is found
-_STAYS = 0.5  # share of the Gaussians that mostly stand in a look that chooses
-_FAINT = 0.02  # presence of the others
 _FEWEST = 64  # Gaussians of a tile; fewer have no levels
 _OTHER_LOOKS = 8  # from other cells, for the bytes of direction sets
 # what other cells add to these by rays; growth with the number of looks (design/089)
@@ -62,7 +53,7 @@ _GROWTH = 0.5
 # Gaussians that are coded for their bytes, and tiles that they come from
 _CODED = 1 << 16
 _MOST_CODED = 4
-_CODING = 2e-5  # seconds for each of them
+_BUDGET = 20.0  # seconds after which no further tile is tried
 _SEED = 3
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # steps of this share of the tiles spread the tried ones, however many they are
 
@@ -74,22 +65,22 @@ class Trial:
     Attributes:
         eyes: Share of the tiles with room for eyes.
         space: To find where eyes may be, mean of all tiles; no time where a walk is not near.
-        view: A view to train on.
-        choice: The looks that choose the Gaussians of all lower levels; 0 without levels.
+        levels: To train its levels; 0 without levels.
+        colors: To fit its colors, and to measure what rounding costs and what a client gets.
         cells: Cells of a tile with room for eyes.
         cell: To find the set of a cell, its share of the shared looks included.
         nbytes: Bytes of its files.
-        tiles: Tiles of which views were timed; if 0, all times but `space` come from constants.
+        tiles: Tiles of which all this was tried; with 0, only `eyes`, `space` and bytes are known.
     """
 
     eyes: float
     space: float
-    view: float
-    choice: float
+    levels: float
+    colors: float
     cells: float
     cell: float
     nbytes: TileBytes
-    tiles: int = 0
+    tiles: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,14 +91,12 @@ class _Tile:
     near: Gaussians
 
 
-def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> Trial:
-    """Return `expected` with what a few tiles say in its place, as far as a budget allows.
+def try_tiles(build: WorldBuild, most: int) -> Trial:
+    """Return what tiles take: of eight tiles where eyes may be, of one or more of these the rest.
 
     Args:
         build: The preparation; its survey runs if it has not.
-        expected: Times by constants.
         most: Most Gaussians around a tile.
-        budget: Seconds of processor. What is expected to exceed it is not begun.
     """
     config = build.config.package
     with one_thread():
@@ -119,46 +108,35 @@ def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> T
     if not near:
         raise far_from_walk()
     reached = len(near) / len(tiles)
-    expected = replace(expected, eyes=reached * expected.eyes, space=reached * expected.space)
     order = (np.arange(1, 4 * _MOST_TILES) * _GOLDEN % 1.0 * len(near)).astype(int)
-    room = int(0.5 * budget * reached / expected.space)
-    chosen = [near[k] for k in dict.fromkeys(order.tolist())][: min(_MOST_TILES, room)]
-    if not chosen:
-        return expected
+    chosen = [near[k] for k in dict.fromkeys(order.tolist())][:_MOST_TILES]
     tried = _Tried()
     with one_thread():
         rows = _read_tiles(build, chosen)
         spaces = {}
         for number in chosen:
             start = _clock()
+            if tried.spaces and start - began > 0.5 * _BUDGET:
+                break
             tile = rows[number]
             near_and_far = [flatten(tile.own), tile.near, _surroundings(build, params[number])]
             spaces[number] = space_of_tile(Gaussians.concatenate(near_and_far), params[number])
             tried.spaces.append(_clock() - start)
-        if budget - (_clock() - began) > _CODED * _CODING:
-            coded = [rows[k].own for k in chosen if len(rows[k].own) >= _FEWEST][:_MOST_CODED]
-            part = _CODED // max(len(coded), 1)
-            tried.records = [bytes_of_record(levels_of(flatten(own), config.levels), part) for own in coded]
-        # what the tile before has taken
-        last = 0.0
-        last_cell = 0.0
+        coded = [rows[k].own for k in chosen if len(rows[k].own) >= _FEWEST] or [tile.own for tile in rows.values()]
+        part = _CODED // min(len(coded), _MOST_CODED)
+        tried.records = [
+            bytes_of_record(levels_of(flatten(own), config.levels), part) for own in coded[:_MOST_CODED] if len(own)
+        ]
         for number, space in spaces.items():
-            left = budget - (_clock() - began)
-            if space is None or left < max(last, _TIMED * 3.0 * expected.view) or len(rows[number].own) < _FEWEST:
+            late = tried.cells and _clock() - began > _BUDGET
+            if space is None or late or len(rows[number].own) < _FEWEST:
                 continue
             with suppress(SceneError):  # no eye stands outside of everything solid
-                start = _clock()
-                tried.views.append(_time_views(rows[number].own, space, config))
-                last = _clock() - start
-                if left - last > max(last_cell, expected.cell):
-                    start = _clock()
-                    tried.cells.append(_try_cell(rows[number], _others(build, number, most), space, config))
-                    last_cell = _clock() - start
-    found = [space for space in spaces.values() if space is not None]
-    tried.rooms = [bytes_of_space(space) for space in found]
-    eyes = reached * len(found) / len(chosen)
-    taken = reached * float(np.median(tried.spaces))
-    return tried.in_place_of(replace(expected, eyes=eyes, space=taken))
+                stages = _try_stages(rows[number].own, space, config)
+                tried.cells.append(_try_cell(rows[number], _others(build, number, most), space, config))
+                tried.stages.append(stages)
+    tried.rooms = [bytes_of_space(space) for space in spaces.values() if space is not None]
+    return tried.result(reached)
 
 
 @dataclass
@@ -166,26 +144,26 @@ class _Tried:
     """What was tried in each tile."""
 
     spaces: list[float] = field(default_factory=list)
-    views: list[tuple[float, float]] = field(default_factory=list)
+    stages: list[tuple[float, float]] = field(default_factory=list)
     cells: list[_Cell] = field(default_factory=list)
     records: list[float] = field(default_factory=list)
     rooms: list[float] = field(default_factory=list)
 
-    def in_place_of(self, found: Trial) -> Trial:
-        """Return a trial with means of what was tried in place of what was expected."""
-        nbytes = found.nbytes
-        if self.views:
-            view, choice = np.mean(self.views, axis=0).tolist()
-            found = replace(found, view=view, choice=choice, tiles=len(self.views))
-        if self.cells:
-            cells, cell, directions, seen = np.mean(np.array(self.cells), axis=0).tolist()
-            found = replace(found, cells=cells, cell=cell)
-            nbytes = replace(nbytes, directions=directions, cell=seen)
-        if self.records:
-            nbytes = replace(nbytes, record=float(np.mean(self.records)))
-        if self.rooms:
-            nbytes = replace(nbytes, space=float(np.mean(self.rooms)))
-        return replace(found, nbytes=nbytes)
+    def result(self, reached: float) -> Trial:
+        """Return the means; `reached` is the share of the tiles that may have room for eyes at all."""
+        levels, colors = np.mean(self.stages or [(0.0, 0.0)], axis=0).tolist()
+        cells, cell, directions, seen = np.mean(np.array(self.cells or [_Cell(0.0, 0.0, 0.0, 0.0)]), axis=0).tolist()
+        record = float(np.mean(self.records or [0.0]))
+        return Trial(
+            eyes=reached * len(self.rooms) / len(self.spaces),
+            space=reached * float(np.median(self.spaces)),
+            levels=levels,
+            colors=colors,
+            cells=cells,
+            cell=cell,
+            nbytes=TileBytes(record, directions, seen, float(np.mean(self.rooms or [0.0]))),
+            tiles=len(self.stages),
+        )
 
 
 class _Cell(NamedTuple):
@@ -216,7 +194,7 @@ def _load_kernels(config: PrepareConfig) -> None:
     few = replace(config, cells=1, cell_size=None, sets=sets)
     bytes_of_record(levels_of(g, config.levels), count)
     with suppress(SceneError):
-        _time_views(g, space, few)
+        _try_stages(g, space, few)
         _try_cell(_Tile(g, g[:0]), g[:0], space, few)
 
 
@@ -270,32 +248,15 @@ def _others(build: WorldBuild, number: int, most: int) -> Gaussians:
     return joined[:: max(1, -(-len(joined) // max(most, 1)))]
 
 
-def _time_views(g: Gaussians, space: NavigableSpace, config: PrepareConfig) -> tuple[float, float]:
-    """Return what a view to train on takes, and all looks that choose the Gaussians of lower levels."""
-    cameras = replace(views_to_train(config.level_views), count=_TIMED + 1).cameras(g, space)
-    times = []
-    for c in range(_TIMED + 1):
-        began = _clock()
-        rasterize(g, cameras[c])
-        times.append(_clock() - began)
-    view = float(np.mean(times[1:]))
-    levels = config.levels
-    if levels is None:
-        return view, 0.0
-    counts = frozen_sizes(levels.fit_to(len(g)).sizes(len(g)))
-    many = views_to_choose(config.level_views)
-    polled = replace(many, count=_POLLED).cameras(g, space)
-    looks, _ = count_looks(g, polled, counts, of=many.count, space=space)
-    sight = InSight.from_scene(g, space)
-    times = []
-    stands = np.random.default_rng(_SEED).random(len(g)) < _STAYS
-    presence = np.where(stands, 1.0, _FAINT)
-    for c in range(_TIMED + 1):
-        began = _clock()
-        some = np.flatnonzero(sight.of(polled[c]))
-        removal_effects(g[some], polled[c], presence=presence[some])
-        times.append(_clock() - began)
-    return view, looks * float(np.mean(times[1:]))
+def _try_stages(own: Gaussians, space: NavigableSpace, config: PrepareConfig) -> tuple[float, float]:
+    """Return the seconds of the levels of a tile, and of its colors and what measures them."""
+    trial = StageTrial(levels_of(own, config.levels), space, config, _clock)
+    training = 0.0
+    count = len(own)
+    if config.levels is not None:
+        training = trial.training(config.levels, photos=False, chosen=False)
+        count += sum(total - frozen for total, frozen, _ in config.levels.fit_to(len(own)).sizes(len(own)))
+    return training, trial.colors(count) + trial.cost() + trial.fidelity()
 
 
 def _try_cell(tile: _Tile, others: Gaussians, space: NavigableSpace, config: PrepareConfig) -> _Cell:

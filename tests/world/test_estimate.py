@@ -58,22 +58,17 @@ def test_times_follow_the_clock(scene: tuple[str, None], monkeypatch: pytest.Mon
         tick(monkeypatch, seconds)
         taken.append(estimate_world([scene], config))
     slow, fast = taken[1].trial, taken[0].trial
-    for name in ("space", "view", "choice", "cell"):
+    for name in ("space", "levels", "colors", "cell"):
         assert getattr(slow, name) == pytest.approx(2.0 * getattr(fast, name))
     assert (slow.eyes, slow.cells, slow.tiles) == (fast.eyes, fast.cells, fast.tiles)
     assert taken[1].core_seconds["packages"] > taken[0].core_seconds["packages"]
 
 
-def test_what_exceeds_the_budget_is_left_to_constants(scene: tuple[str, None], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_the_budget_one_tile_is_tried(scene: tuple[str, None], monkeypatch: pytest.MonkeyPatch) -> None:
     tick(monkeypatch, 100.0)
-    found = estimate_world([scene], CONFIG)
-    assert found.trial.tiles == 0
-    monkeypatch.setattr(estimates, "_LEAST_BUDGET", 0.0)
-    monkeypatch.setattr(estimates, "_BUDGET_SHARE", 0.0)
-    untried = estimate_world([scene], CONFIG).trial
-    nbytes = replace(found.trial.nbytes, space=untried.nbytes.space)
-    assert replace(found.trial, eyes=untried.eyes, space=untried.space, nbytes=nbytes) == untried
-    assert untried.eyes == 1.0
+    found = estimate_world([scene], CONFIG).trial
+    assert found.tiles == 1
+    assert found.cell > 0.0
 
 
 def test_more_steps_cells_and_workers_change_what_they_should(
@@ -84,7 +79,7 @@ def test_more_steps_cells_and_workers_change_what_they_should(
     tick(monkeypatch, 1e-3)
     many = estimate_world([scene], cities.config(LevelsConfig((0.25, 0.5), iterations=40), most=1200), workers=4)
     assert many.core_seconds["levels"] > few.core_seconds["levels"]
-    assert many.core_seconds["packages"] == pytest.approx(few.core_seconds["packages"])
+    assert many.core_seconds["packages"] == pytest.approx(few.core_seconds["packages"], rel=0.2)
     assert many.seconds < sum(many.core_seconds.values())
     assert many.max_memory > few.max_memory
 

@@ -1,0 +1,213 @@
+"""Try a little of each stage of a preparation on the very scene: a view, a look, a few steps, a thousand colors.
+
+Stages are sums over views, steps and Gaussians, so a few of these say what all take. Nothing is kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from gsvis.color import quantize
+from gsvis.color.fit import SrbfFit, fit_srbf, fitted_for_price
+from gsvis.package import Contents, ExactLevel, in_package_order, measure_cost, measure_fidelity
+from gsvis.prepare.config import PrepareConfig
+from gsvis.prepare.importance import direction_weights, importance_from_views
+from gsvis.prepare.levels import count_eyes, judge
+from gsvis.render.rasterizer import rasterize
+from gsvis.render.removal import removal_effects
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.in_sight import InSight
+from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.train.choosing import count_looks
+from gsvis.train.fill_in import fit_opacities, views_used
+from gsvis.train.images import render_views
+from gsvis.train.level_quality import measure_levels
+from gsvis.train.level_views import LevelViews, views_to_choose, views_to_train
+from gsvis.train.levels import LevelsConfig, frozen_sizes
+from gsvis.train.merge import merge_gaussians
+
+__all__ = ["StageTrial"]
+
+_VIEWS = 3  # views, looks and steps that are timed
+_FITTED = 1024  # Gaussians whose colors are fitted
+_POLLED = 16  # cameras from which the number of looks is found
+_FAINT = 0.02  # presence of Gaussians that hardly stand in a look that chooses; half of them do
+_STEPS_OF_CLIENT = 5 / 4  # images of a view with visible sets, over those without
+
+
+class StageTrial:
+    """Seconds of the stages of a preparation.
+
+    Args:
+        levels: The levels, or stand-ins for them.
+        space: The navigable space.
+        config: The options.
+        clock: Returns the seconds that are measured.
+    """
+
+    def __init__(
+        self, levels: Levels, space: NavigableSpace, config: PrepareConfig, clock: Callable[[], float]
+    ) -> None:
+        self._levels = in_package_order(levels)
+        self._scene = levels.level(len(levels) - 1)
+        self._space = space
+        self._config = config
+        self._clock = clock
+
+    def training(self, levels: LevelsConfig, *, photos: bool, chosen: bool) -> float:
+        """Return the seconds to train levels.
+
+        Args:
+            levels: Their sizes and training.
+            photos: Whether they are trained on photos, taken to be as many as views.
+            chosen: Whether the frozen Gaussians are known.
+        """
+        views = self._config.level_views
+        levels = levels.fit_to(len(self._scene))
+        cameras = self._cameras(replace(views_to_train(views), count=_VIEWS + 1))
+        seconds = views.count * self._each(lambda camera: rasterize(self._scene, camera), cameras)
+        if self._config.level_held_out:
+            seconds += self._measuring(levels.seed)
+        if not chosen:
+            seconds += self._choice(levels, photos)
+        tried = render_views(self._scene, cameras)
+        order = np.argsort(-self._scene.opacities * self._scene.scales.max(axis=1), kind="stable")
+        for total, frozen, begun in levels.sizes(len(self._scene)):
+            if begun > frozen:
+                stays = np.zeros(len(self._scene), bool)
+                stays[order[:frozen]] = True
+                began = self._clock()
+                merged = merge_gaussians(self._scene[~stays], (begun + total) // 2 - frozen)
+                seconds += self._clock() - began
+                if not photos:
+                    fit_opacities(
+                        merged, self._scene[stays], render_views(self._scene, cameras[0])
+                    )  # loads the kernels
+                    fit = self._seconds(partial(fit_opacities, merged, self._scene[stays], tried))
+                    seconds += fit * views_used(views.count) / views_used(len(tried))
+                seconds += self._steps(levels, total, merged, self._scene[stays], tried)
+        return seconds
+
+    def _measuring(self, seed: int) -> float:
+        """Return the seconds to render held-out views, and to measure levels in them and at other eyes."""
+        began = self._clock()
+        held_out = render_views(self._scene, self._cameras(replace(self._config.level_views, count=3)))
+        measure_levels(self._levels, held_out)
+        views = (self._clock() - began) / 3.0 * self._config.level_held_out
+        some = [LevelViews(each, each, "", False, space=self._space) for each in (held_out[:1], held_out)]
+        judge(self._levels, some[0], seed)
+        one, more = (self._seconds(partial(judge, self._levels, each, seed)) for each in some)
+        return views + one + (count_eyes(self._config.level_held_out) - 1) * max(0.0, more - one) / 2.0
+
+    def _choice(self, levels: LevelsConfig, photos: bool) -> float:
+        """Return the seconds of all looks that choose the frozen Gaussians."""
+        views = self._config.level_views
+        counts = frozen_sizes(levels.sizes(len(self._scene)))
+        if photos:
+            left = counts[-1] / len(self._scene)
+            looks = views.count * math.ceil(math.log(left) / math.log(1.0 - levels.prune_share))
+            sight = None
+        else:
+            many = views_to_choose(views)
+            polled = self._cameras(replace(many, count=_POLLED))
+            looks, _ = count_looks(self._scene, polled, counts, of=many.count, space=self._space)
+            sight = InSight.from_scene(self._scene, self._space)
+        presence = np.where(np.random.default_rng(0).random(len(self._scene)) < 0.5, 1.0, _FAINT)
+
+        def look(camera: Cameras) -> None:
+            """Look once, as the choice does."""
+            some = np.arange(len(self._scene)) if sight is None else np.flatnonzero(sight.of(camera))
+            removal_effects(self._scene[some], camera, presence=presence[some])
+
+        return looks * self._each(look, self._cameras(replace(views_to_choose(views), count=_VIEWS + 1)))
+
+    def _steps(self, levels: LevelsConfig, total: int, merged: Gaussians, stays: Gaussians, tried: Any) -> float:
+        """Return the seconds of the training of a level, the loading of torch included."""
+        began = self._clock()
+        from gsvis.train.trainer import Trainer
+
+        trainer = Trainer(tried, merged, levels.training(total, stays.sh_degree), frozen=stays, space=self._space)
+        trainer.advance()
+        start = self._clock()
+        for _ in range(_VIEWS):
+            trainer.advance()
+        each = (self._clock() - start) / _VIEWS
+        return start - began + each * (levels.iterations - 1)
+
+    def colors(self, count: int) -> float:
+        """Return the seconds to find and fit the colors of `count` Gaussians."""
+        fit = self._config.colors.fit
+        views = self._config.colors.views
+        seconds = self._fitted[1] * (count + fitted_for_price(count, fit))
+        if self._scene.sh_degree and views.count:
+            cameras = self._cameras(replace(views, count=2))
+            seconds += views.count * self._each(lambda camera: importance_from_views(self._levels, camera), cameras)
+        return seconds
+
+    @cached_property
+    def _fitted(self) -> tuple[SrbfFit, float]:
+        """The fit of some colors, as if they were seen from everywhere, and the seconds of each Gaussian."""
+        union = self._levels.union
+        some = union[np.linspace(0, len(union) - 1, min(_FITTED, len(union))).astype(int)]
+        fit = self._config.colors.fit if union.sh_degree else replace(self._config.colors.fit, max_terms=0)
+        weights = direction_weights(np.full((len(some), 10), 255, np.uint8), None)
+        fit_srbf(some[:8], weights[:8], fit)  # loads the kernels
+        began = self._clock()
+        found = fit_srbf(some, weights, fit)
+        return found, (self._clock() - began) / (len(some) + fitted_for_price(len(some), fit))
+
+    def cost(self) -> float:
+        """Return the seconds to measure the cost of rounding."""
+        views = self._config.cost_views
+        return self._measure(views.count, lambda cameras: measure_cost(*self._rounded, cameras), views)
+
+    def fidelity(self) -> float:
+        """Return the seconds to measure what a client gets."""
+        levels, exact, packed = self._rounded
+        member = levels.member(len(levels) - 1)
+        level = ExactLevel(levels.union[member], exact[member])
+        views = self._config.fidelity_views
+
+        def measure(cameras: Cameras) -> None:
+            """Measure as the stage does, without sets."""
+            measure_fidelity(self._scene, Contents.from_levels(levels, packed), cameras, exact=level)
+
+        return self._measure(_STEPS_OF_CLIENT * views.count, measure, views)
+
+    @cached_property
+    def _rounded(self) -> tuple[Levels, Any, Any]:
+        """The levels with colors like those that were fitted, before and after rounding."""
+        found = self._fitted[0].colors
+        colors = found[np.arange(len(self._levels.union)) % len(found)]
+        return self._levels, colors, quantize(colors, "wire")
+
+    def _measure(self, count: float, measure: Callable[[Cameras], object], views: Any) -> float:
+        """Return the seconds to measure `count` views, from measurements of one and of three."""
+        cameras = self._cameras(replace(views, count=3))
+        measure(cameras[0])
+        one = self._seconds(lambda: measure(cameras[0]))
+        more = self._seconds(lambda: measure(cameras))
+        each = max(0.0, more - one) / 2.0
+        return one + (count - 1.0) * each
+
+    def _cameras(self, views: Any) -> Cameras:
+        cameras: Cameras = views.cameras(self._scene, self._space)
+        return cameras
+
+    def _each(self, work: Callable[[Cameras], object], cameras: Cameras) -> float:
+        """Return the mean seconds of work with a camera; the first loads the kernels."""
+        work(cameras[0])
+        return float(np.mean([self._seconds(partial(work, cameras[c])) for c in range(1, len(cameras))]))
+
+    def _seconds(self, work: Callable[[], object]) -> float:
+        began = self._clock()
+        work()
+        return self._clock() - began
