@@ -46,7 +46,7 @@ APART = {
         "gsvis.io.spz:_pack_streams",
         "gsvis.io.spz:save_spz",
         "gsvis.io.spz:_extensions",
-        "gsvis.io.spz:_flags",
+        "gsvis.io.spz:_header_flags",
         "gsvis.io.ply:_with_doubles",
         "gsvis.io.ksplat:_report",
         "gsvis.io.ksplat:_with_facts",

@@ -85,6 +85,7 @@ def take_next(typing_context: Any, counter: Any) -> Any:
     del typing_context
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        """Build an atomic addition."""
         place = context.make_array(signature.args[0])(context, builder, args[0]).data
         return builder.atomic_rmw("add", place, ir.Constant(_I64, 1), "monotonic")
 

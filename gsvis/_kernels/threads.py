@@ -31,7 +31,10 @@ def in_parts(count: Callable[..., int]) -> Callable[[Any], Callable[..., None]]:
     """
 
     def wrap(kernel: Any) -> Callable[..., None]:
+        """Return the decorated kernel."""
+
         def run(*arguments: Any) -> None:
+            """Call the kernel."""
             rows = count(*arguments)
             threads = max(min(get_num_threads(), rows), 1)
             ends = [rows * k // threads for k in range(threads + 1)]
@@ -52,7 +55,10 @@ def in_threads(units: Callable[..., int]) -> Callable[[Any], Callable[..., None]
     """
 
     def wrap(kernel: Any) -> Callable[..., None]:
+        """Return the decorated kernel."""
+
         def run(*arguments: Any) -> None:
+            """Call the kernel."""
             threads = max(min(get_num_threads(), units(*arguments)), 1)
             _run_all(kernel, [(np.zeros(1, np.int64), *arguments)] * threads)
 
@@ -65,6 +71,7 @@ def on_numba_threads(kernel: Any) -> Callable[..., None]:
     """Decorate a kernel that calls `share`: numba's threads are started before its code is loaded."""
 
     def run(*arguments: Any) -> None:
+        """Call the kernel."""
         get_num_threads()  # starts them, at the first call
         kernel(*arguments)
 

@@ -105,7 +105,8 @@ class Planner:
         memory: The memory of the client; None if it can hold the whole scene.
 
     Raises:
-        ValueError: If the holdings are those of another scene, or the memory is not above 0.
+        ValueError: If the holdings have other numbers of Gaussians or terms than the scene, or the memory is not above
+            0.
     """
 
     def __init__(

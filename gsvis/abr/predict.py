@@ -297,6 +297,7 @@ def _normalized(quat: Sequence[float]) -> Quat:
 
 
 def _unit(w: float, x: float, y: float, z: float) -> Quat:
+    """Return a quaternion wxyz scaled to length 1."""
     length = math.sqrt(w * w + x * x + y * y + z * z)
     return w / length, x / length, y / length, z / length
 

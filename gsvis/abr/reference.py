@@ -243,7 +243,7 @@ def _in_order_of_scene(index: SceneIndex, keys: list[tuple[int, int, int]]) -> l
 
 
 def _in_view(index: SceneIndex, planes: F32) -> NDArray[np.bool_]:
-    """Return (N,) whether each Gaussian is in one of the frusta (F, 5, 4)."""
+    """Return a mask (N,): whether each Gaussian is in one of the frusta (F, 5, 4)."""
     found = np.zeros(len(index), np.bool_)
     kernels.in_view(np.asarray(planes, np.float32), index.means, index.radii, found)
     return found
@@ -280,6 +280,7 @@ def _group_units(shared: CandidateIndex, view: View) -> list[Unit]:
             found.setdefault(key, []).append(g)
 
     def place(item: Unit) -> tuple[int, int, int, int]:
+        """Return the sort key of a unit."""
         (ring, word, kind, enters, ends), members = item
         return ring, word, kind, members[0] if ring == 0 else _with_levels(index, word, enters, ends)[0]
 

@@ -122,7 +122,7 @@ class BandwidthTrace:
         return float(whole + max(more, 0.0) * self.period + self._time_of(rest)) if more >= 0 else float(whole)
 
     def from_time(self, start: float) -> BandwidthTrace:
-        """Return the same link, starting at another time of its period."""
+        """Return the same link, starting `start` seconds later in its period."""
         _, within = self._split_time(start)
         if within == 0.0:
             return self

@@ -57,7 +57,7 @@ class Activation:
         _check.same_length(colors=colors.base, means=self._means)
         self._centers = unit_vectors(colors.centers).astype(np.float32)
         self._amplitudes = colors.amplitudes()
-        self._reaches = _reaches(colors, self._amplitudes)
+        self._change_bounds = _change_bounds(colors, self._amplitudes)
         self._logs = self._above_epsilon()
         with np.errstate(over="ignore", divide="ignore"):
             self._widths = np.minimum(1.0 / colors.decays, _WIDEST).astype(np.float32)
@@ -70,7 +70,7 @@ class Activation:
         at = _check.floats("eye", eye, (3,), np.float64)
         colors = self.colors
         additive = colors.kind.space == "rgb"
-        factors = self._reaches if additive else np.ones(colors.num_terms)
+        factors = self._change_bounds if additive else np.ones(colors.num_terms)
         found = np.zeros(colors.num_terms)
         means, at = _check.read_only(self._means, at)
         kernels.responses(means, colors.offsets, self._centers, colors.decays, factors, at, found)
@@ -153,13 +153,13 @@ class Activation:
 
     def _above_epsilon(self) -> F32:
         """Return (T,) upper bounds of the logarithm of each term's largest change over epsilon; -inf for no change."""
-        epsilon = np.full(len(self._reaches), self.epsilon)
+        epsilon = np.full(len(self._change_bounds), self.epsilon)
         if self.colors.kind.space != "rgb":
             steps = _STEPS * self.colors.scales[self.colors.gaussian_ids].astype(np.float64)
             epsilon = np.maximum((1.0 - _ROUNDING) * epsilon - steps, 0.0)
-        something = self._reaches > 0.0
+        something = self._change_bounds > 0.0
         with np.errstate(divide="ignore"):
-            logs = np.log(np.where(something, self._reaches, 1.0)) - np.log(epsilon) + _MARGIN
+            logs = np.log(np.where(something, self._change_bounds, 1.0)) - np.log(epsilon) + _MARGIN
         return np.where(something, logs, -np.inf).astype(np.float32)
 
 
@@ -210,7 +210,7 @@ def active_in_box(colors: SrbfColors, means: ArrayLike, low: ArrayLike, high: Ar
     return Activation(colors, means, epsilon).active_in_box(low, high)
 
 
-def _reaches(colors: SrbfColors, amplitudes: F32) -> F64:
+def _change_bounds(colors: SrbfColors, amplitudes: F32) -> F64:
     """Return (T,) bounds on the change of a channel per unit of the lobe.
 
     With S and L in [0, 1] a channel of HSL is L - S min(L, 1 - L) w, |w| <= 1: its slope by L is at most 1 + S, its

@@ -115,7 +115,7 @@ def orthogonal_matching_pursuit(
         np.empty(number, np.int32),
         np.empty((number, terms + 1)),
     )
-    atoms = _atoms(columns, shared, own is not None, least_share)
+    atoms = _prepare_atoms(columns, shared, own is not None, least_share)
 
     def pursue(start: int) -> int:
         """Run the pursuit for a part of the signals; return their number."""
@@ -127,7 +127,7 @@ def orthogonal_matching_pursuit(
                 limits[part],
                 tolerances[part],
             )
-        kernels.pursue(chunk, atoms, _part(codes, part))
+        kernels.pursue(chunk, atoms, _part_of_results(codes, part))
         _refuse(codes.counts[part], start)
         return part.stop
 
@@ -144,10 +144,10 @@ def _signals(signals: ArrayLike, depth: int) -> NDArray[Any]:
     values = np.asarray(signals)
     if values.ndim not in (2, 3) or values.shape[1] != depth or (values.ndim == 3 and values.shape[2] == 0):
         raise ValueError(f"signals: expected shape (N, {depth}) or (N, {depth}, C), got {values.shape}")
-    return _real("signals", values)
+    return _require_real("signals", values)
 
 
-def _real(name: str, values: NDArray[Any]) -> NDArray[Any]:
+def _require_real(name: str, values: NDArray[Any]) -> NDArray[Any]:
     """Return the array if it holds real numbers; parts are converted to float32 later."""
     if values.dtype.kind not in "fiub":
         raise ValueError(f"{name}: expected numbers, got dtype {values.dtype}")
@@ -165,7 +165,7 @@ def _weights(weights: ArrayLike | None, number: int, depth: int) -> tuple[NDArra
     own = np.asarray(weights)
     if own.shape != (number, depth):
         raise ValueError(f"weights: expected shape ({depth},) or ({number}, {depth}), got {own.shape}")
-    return _real("weights", own), np.ones(depth)
+    return _require_real("weights", own), np.ones(depth)
 
 
 def _limits(max_terms: int | ArrayLike, number: int, most: int) -> NDArray[np.int64]:
@@ -179,7 +179,7 @@ def _limits(max_terms: int | ArrayLike, number: int, most: int) -> NDArray[np.in
     return limits
 
 
-def _part(codes: kernels.Codes, part: slice) -> kernels.Codes:
+def _part_of_results(codes: kernels.Codes, part: slice) -> kernels.Codes:
     """Return the results of a part of the signals, as views."""
     return kernels.Codes(codes.atoms[part], codes.coefficients[part], codes.counts[part], codes.errors[part])
 
@@ -194,7 +194,7 @@ def _refuse(counts: NDArray[np.int32], start: int) -> None:
         raise ValueError(f"{name}: expected {wanted}, got {got} in row {start + bad[0]}")
 
 
-def _atoms(columns: F64, shared: F64, own: bool, least_share: float) -> kernels.Atoms:
+def _prepare_atoms(columns: F64, shared: F64, own: bool, least_share: float) -> kernels.Atoms:
     """Return the prepared dictionary."""
     number = columns.shape[1]
     depth = columns.shape[0]

@@ -85,7 +85,8 @@ PRECISIONS: dict[str, Precision] = {
 """Named precisions. `wire` is the default; docs/design/009-color-records.md states their effect on image quality."""
 
 
-def _precision(value: Precision | str) -> Precision:
+def _parse_precision(value: Precision | str) -> Precision:
+    """Return a precision, given by name or as it is."""
     return value if isinstance(value, Precision) else PRECISIONS[_check.one_of("precision", value, tuple(PRECISIONS))]
 
 
@@ -131,11 +132,11 @@ class Grids:
         ranges = [(0.0, 1.0) if turns[k] else _range(colors.base[:, k]) for k in range(3)]
         return cls(
             colors.variant,
-            _precision(precision),
+            _parse_precision(precision),
             (ranges[0], ranges[1], ranges[2]),
             _range(colors.scales, 1.0),
             _range(colors.decays, 1.0),
-            _largest(colors.intensities),
+            _largest_intensity(colors.intensities),
         )
 
     @property
@@ -316,7 +317,7 @@ def quantize(
     base = np.empty((len(colors), 3), np.uint16)
     for k in range(3):
         if kind.space in ("hsl", "hsv") and k == 0:
-            base[:, k] = _around(colors.base[:, 0], 0.0, 1.0, 1 << g.precision.base)
+            base[:, k] = _indices_on_circle(colors.base[:, 0], 0.0, 1.0, 1 << g.precision.base)
         else:
             base[:, k] = _grids.nearest(colors.base[:, k], g.base_table(k))
     centers, decays = _round_lobes(colors, g)
@@ -325,7 +326,7 @@ def quantize(
         lobes = _lobes(_centers_of(centers, g), g.decay_table()[decays])
         values = _project(colors, lobes)
         if grids is None:
-            g = replace(g, intensity=_largest(values))
+            g = replace(g, intensity=_largest_intensity(values))
         intensities = _round_jointly(colors, lobes, values, g)
     else:
         intensities = _grids.nearest(values, g.intensity_table())
@@ -345,7 +346,7 @@ def bytes_per_term(name: str, precision: Precision | str | None = "wire") -> flo
         >>> bytes_per_term("rgb"), bytes_per_term("axis"), bytes_per_term("rgb", None)
         (4.5, 3.0, 24.0)
     """
-    return _term_bits(variant(name), None if precision is None else _precision(precision)) / 8
+    return _term_bits(variant(name), None if precision is None else _parse_precision(precision)) / 8
 
 
 def bytes_per_base(name: str, precision: Precision | str | None = "wire") -> float:
@@ -355,7 +356,7 @@ def bytes_per_base(name: str, precision: Precision | str | None = "wire") -> flo
         name: Name of the variant.
         precision: A name from `PRECISIONS`, or a `Precision`; None for float32 throughout.
     """
-    return _base_bits(variant(name), None if precision is None else _precision(precision)) / 8
+    return _base_bits(variant(name), None if precision is None else _parse_precision(precision)) / 8
 
 
 def record_bytes(colors: SrbfColors | QuantizedColors, precision: Precision | str | None = "wire") -> int:
@@ -368,7 +369,7 @@ def record_bytes(colors: SrbfColors | QuantizedColors, precision: Precision | st
     """
     if isinstance(colors, QuantizedColors):
         return colors.nbytes
-    return _packed_bytes(colors.kind, None if precision is None else _precision(precision), colors.offsets)
+    return _packed_bytes(colors.kind, None if precision is None else _parse_precision(precision), colors.offsets)
 
 
 def sh_bytes(degree: int, bits: int = 32) -> float:
@@ -416,7 +417,8 @@ def _range(values: F32, empty: float = 0.0) -> Range:
     return (float(values.min()), float(values.max())) if len(values) else (empty, empty)
 
 
-def _largest(intensities: NDArray[np.floating[Any]]) -> float:
+def _largest_intensity(intensities: NDArray[np.floating[Any]]) -> float:
+    """Return the largest absolute intensity; 0 if there is none."""
     return float(np.float32(np.abs(intensities).max(initial=0.0)))
 
 
@@ -434,7 +436,7 @@ def _check_covers(own: Grids, given: Grids) -> None:
             raise ValueError(f"{name}: expected within [{least:g}, {most:g}], got {low:g} to {high:g}; use wider grids")
 
 
-def _around(values: NDArray[np.floating[Any]], low: float, turn: float, count: int) -> U16:
+def _indices_on_circle(values: NDArray[np.floating[Any]], low: float, turn: float, count: int) -> U16:
     """Return the indices of values on a circle of `count` even steps."""
     steps = np.rint((values.astype(np.float64) - low) * (count / turn))
     return np.asarray(np.mod(steps, count), np.uint16)
@@ -445,7 +447,7 @@ def _round_lobes(colors: SrbfColors, g: Grids) -> tuple[U16, U16]:
     theta, phi = np.moveaxis(spherical_coordinates(unit_vectors(colors.centers)), -1, 0)
     bits = g.precision.center
     places = np.clip(np.floor(theta * ((1 << bits) / np.pi)), 0, (1 << bits) - 1)
-    centers = np.stack([places.astype(np.uint16), _around(phi, -np.pi, 2.0 * np.pi, 2 << bits)], axis=1)
+    centers = np.stack([places.astype(np.uint16), _indices_on_circle(phi, -np.pi, 2.0 * np.pi, 2 << bits)], axis=1)
     return centers, _grids.nearest(colors.decays, g.decay_table())
 
 

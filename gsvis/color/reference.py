@@ -107,6 +107,7 @@ def refine(
     goal = np.asarray(targets, np.float64) * root[:, None]
 
     def residuals(flat: F64) -> F64:
+        """Return the weighted errors of lobes (3 K,), with the best intensities."""
         moved = flat.reshape(-1, 3)
         decays = np.linalg.norm(moved, axis=1)
         lobes = np.exp(points @ moved.T - decays) * root[:, None]

@@ -79,7 +79,7 @@ def rgb_to_hsl(rgb: Any) -> Any:
                [0.66666667, 1.        , 0.25      ]])
     """
     xp, r, g, b = channels("rgb", rgb, (0.0,) * 3, (1.0,) * 3, _SCALE)
-    most, least = _extremes(xp, r, g, b)
+    most, least = _largest_and_smallest(xp, r, g, b)
     lightness = (most + least) / 2
     room = xp.where(lightness <= 0.5, most + least, (1 - most) + (1 - least))
     return xp.concatenate([_hue(xp, r, g, b), _ratio(xp, most - least, room), lightness], -1)
@@ -124,7 +124,7 @@ def rgb_to_hsv(rgb: Any) -> Any:
         ValueError: If the shape is wrong or an array has values that are not finite or negative.
     """
     xp, r, g, b = channels("rgb", rgb, (0.0,) * 3, (_INF,) * 3, "clip the colors below at 0")
-    most, least = _extremes(xp, r, g, b)
+    most, least = _largest_and_smallest(xp, r, g, b)
     return xp.concatenate([_hue(xp, r, g, b), _ratio(xp, most - least, most), most], -1)
 
 
@@ -281,7 +281,8 @@ def _hue_vector(xp: Any, hue: Any) -> Any:
     return xp.clip(rgb, 0.0, 1.0)
 
 
-def _extremes(xp: Any, r: Any, g: Any, b: Any) -> tuple[Any, Any]:
+def _largest_and_smallest(xp: Any, r: Any, g: Any, b: Any) -> tuple[Any, Any]:
+    """Return the largest and the smallest of three channels."""
     return xp.maximum(xp.maximum(r, g), b), xp.minimum(xp.minimum(r, g), b)
 
 

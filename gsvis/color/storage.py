@@ -160,7 +160,7 @@ def _schema(kind: Variant, grids: Grids | None) -> list[pa.Field]:
 
     def field(name: str, kind: pa.DataType, length: int = 0) -> pa.Field:
         """Return a field of fixed-length lists, or of single values for length 0."""
-        return pa.field(name, _many(kind, length) if length else kind, nullable=False)
+        return pa.field(name, _fixed_list(kind, length) if length else kind, nullable=False)
 
     def number(bits: str) -> pa.DataType:
         """Return the Arrow type of numbers with these bits."""
@@ -185,7 +185,7 @@ def _schema(kind: Variant, grids: Grids | None) -> list[pa.Field]:
     return columns
 
 
-def _many(kind: pa.DataType, length: int) -> pa.DataType:
+def _fixed_list(kind: pa.DataType, length: int) -> pa.DataType:
     """Return the type of lists of a fixed length."""
     return pa.list_(pa.field("item", kind, nullable=False), length)
 

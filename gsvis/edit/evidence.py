@@ -230,7 +230,7 @@ def _find_passed(
 
 
 def _voxels_of(points: NDArray[np.float32], air: Air) -> tuple[NDArray[np.int64], Mask]:
-    """Return (P, 3) the voxels of points (P, 3), 0 off the grid, and (P,) whether they lie on the grid."""
+    """Return the voxels (P, 3) of points (P, 3), 0 off the grid, and (P,) whether they lie on the grid."""
     with np.errstate(over="ignore"):
         places = (points.astype(np.float64) - air.origin) / air.voxel_size
     within = np.all((places >= 0.0) & (places < air.labels.shape), axis=1)
@@ -284,7 +284,7 @@ def _open_air(density: Density, passed: Mask) -> Mask:
 
 
 def _look(core: Gaussians, eyes: F64, config: CleanConfig, progress: Progress) -> tuple[Mask, NDArray[np.uint8]]:
-    """Return (M,) whether eyes (E, 3) see each Gaussian, and from how many of the 80 directions."""
+    """Return whether eyes (E, 3) see each Gaussian (M,), and from how many of the 80 directions (M,)."""
     from gsvis.pvs.look import Look
     from gsvis.raycast.directions import face_of
 
@@ -305,7 +305,7 @@ def _look(core: Gaussians, eyes: F64, config: CleanConfig, progress: Progress) -
 def _look_outward(
     core: Gaussians, navigable: NavigableSpace, ids: NDArray[np.int64], tau: float, progress: Progress
 ) -> Mask:
-    """Return (M,) whether an eye in navigable space sees each of the Gaussians ids (M,), by outward rays."""
+    """Return a mask (M,): whether an eye in navigable space sees each of the Gaussians ids (M,), by outward rays."""
     from gsvis.raycast import EllipsoidProxies, Tracer
     from gsvis.raycast.directions import seen_from_space
 
@@ -326,7 +326,7 @@ def _look_outward(
 
 
 def part_of_backdrop(far: Gaussians, middle: F64) -> Mask:
-    """Return (F,) which Gaussians far outside together fill enough of the direction in which they lie."""
+    """Return a mask (F,): which Gaussians far outside together fill enough of the direction in which they lie."""
     from gsvis.raycast.directions import NUM_FACES, face_of
 
     if len(far) == 0:

@@ -190,7 +190,7 @@ def _check_group(
 
 
 def _members(classes: U8, group: list[str]) -> NDArray[np.bool_]:
-    """Return (N,) which Gaussians belong to one of some classes."""
+    """Return a mask (N,): which Gaussians belong to one of some classes."""
     return np.isin(classes, [class_of(name) for name in group])
 
 

@@ -69,7 +69,8 @@ class LargeCleaning:
     judged: Judged | None = None
 
     @cached_property
-    def _names(self) -> list[str]:
+    def _tile_names(self) -> list[str]:
+        """Names of all tiles of the grid."""
         return [tile_name((x, y, width, height)) for x, y, width, height in self.build.grid["tiles"]]
 
     def classes(self) -> Iterator[NDArray[np.uint8]]:
@@ -93,15 +94,15 @@ class LargeCleaning:
         keys = tiles_of(g.means, self.build.grid)
         classes = np.zeros(len(g), np.uint8)
         for key in np.unique(keys).tolist():
-            name = OUTSIDE if key < 0 else self._names[key]
+            name = OUTSIDE if key < 0 else self._tile_names[key]
             with temporary_folder() as cache:
-                result = self.results[self._home(name)]
+                result = self.results[self._class_task(name)]
                 path = self.build.store.path_of(result.files["classes"], cache)
                 classes[keys == key] = load_arrays(path, sealed=True)[f"{number} {name}"]
         classes[np.isin(classes, [class_of(name) for name in self.back])] = KEPT
         return classes
 
-    def _home(self, name: str) -> str:
+    def _class_task(self, name: str) -> str:
         """Return the task that classified the rows of a name; tiles with few Gaussians were joined to the outside."""
         return f"clean {name}" if f"clean {name}" in self.results else f"clean {OUTSIDE}"
 
@@ -146,7 +147,9 @@ def clean_large(
     if None in build.tiles:
         tasks.append(listed.outside())
     results = run_graph(tasks, store, workers, stage="cleaning", progress=progress)
-    return _summary(build, {_name("clean", rect): results[_name("clean", rect)] for rect in build.tiles}, config)
+    return _summary(
+        build, {_task_name("clean", rect): results[_task_name("clean", rect)] for rect in build.tiles}, config
+    )
 
 
 class _Tasks:
@@ -167,7 +170,7 @@ class _Tasks:
         used = sorted({batch for batch, _ in files})
         params = {"files": [(used.index(batch), name) for batch, name in files]}
         needs = tuple(f"split {batch}" for batch in used)
-        return Task(_name("rows", rect), "gsvis.edit.tiles:gather_rows", params, needs)
+        return Task(_task_name("rows", rect), "gsvis.edit.tiles:gather_rows", params, needs)
 
     def survey(self) -> Task:
         """Return the task that finds navigable space by one grid over the whole scene."""
@@ -201,7 +204,9 @@ class _Tasks:
         most = build.config.tiling.most
         touching = [len(build.touching(each)) for each in build.tiles if each]
         params = {"near": max(1, most // (4 * max(1, *touching))), "far": max(1, most // (8 * len(build.tiles)))}
-        return Task(_name("merge", rect), "gsvis.edit.tiles:merge_tile", params, (_name("rows", rect), "whole"))
+        return Task(
+            _task_name("merge", rect), "gsvis.edit.tiles:merge_tile", params, (_task_name("rows", rect), "whole")
+        )
 
     def clean(self, rect: Rect) -> Task:
         """Return the task that classifies the Gaussians of a tile."""
@@ -218,27 +223,29 @@ class _Tasks:
             ],
             **{name: square[name] for name in ("low", "high", "axes")},
             "room": int(JOINT * build.config.tiling.most),
-            **self._common(rect),
+            **self._tile_params(rect),
         }
-        merged = (_name("merge", build.tiles[k]) for k in others)
-        return Task(_name("clean", rect), "gsvis.edit.tiles:clean_tile", params, (*rows, "whole", *merged))
+        merged = (_task_name("merge", build.tiles[k]) for k in others)
+        return Task(_task_name("clean", rect), "gsvis.edit.tiles:clean_tile", params, (*rows, "whole", *merged))
 
     def outside(self) -> Task:
         """Return the task that finds flyaways."""
         samples, numbers = self._samples(1)
-        params = {"samples": numbers, **self._common(None)}
-        return Task(_name("clean", None), "gsvis.edit.tiles:find_flyaways", params, (_name("rows", None), *samples))
+        params = {"samples": numbers, **self._tile_params(None)}
+        return Task(
+            _task_name("clean", None), "gsvis.edit.tiles:find_flyaways", params, (_task_name("rows", None), *samples)
+        )
 
     def _rows(self, tiles: Sequence[Rect | None]) -> tuple[str, ...]:
         """Return the tasks that join the rows of tiles."""
-        return tuple(_name("rows", rect) for rect in tiles)
+        return tuple(_task_name("rows", rect) for rect in tiles)
 
     def _samples(self, after: int) -> tuple[tuple[str, ...], list[int]]:
         """Return all samples, and their numbers among the inputs of a task that come after some others."""
         count = len(self._build.batches)
         return tuple(f"sample {k}" for k in range(count)), list(range(after, after + count))
 
-    def _common(self, rect: Rect | None) -> Facts:
+    def _tile_params(self, rect: Rect | None) -> Facts:
         """Return the parameters that tasks of a tile share."""
         files = [f"{batch} {name}" for batch, name in self._build.files[rect]]
         return {"config": self._config, "name": tile_name(rect), "files": files}
@@ -252,7 +259,8 @@ def _meets(tile: Facts, square: Facts) -> bool:
     return bool(np.all((np.array(tile["low"]) < high + reach) & (np.array(tile["high"]) > low - reach)))
 
 
-def _name(kind: str, rect: Rect | None) -> str:
+def _task_name(kind: str, rect: Rect | None) -> str:
+    """Return the name of the task of a kind for a tile."""
     return f"{kind} {tile_name(rect)}"
 
 

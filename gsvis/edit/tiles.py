@@ -158,7 +158,7 @@ def clean_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     eyes = whole.air.eyes
     navigable = whole.navigable
     if given.inputs[params["whole"]].facts["parcels"] > 1:  # eyes of other parcels see little of this one
-        away = _away(eyes, params)
+        away = _distances_from_tile(eyes, params)
         eyes = eyes[np.argsort(away, kind="stable")[: config.eyes]]
         navigable = cut_to_tile(navigable, params) or navigable
     joint = Gaussians.concatenate([own, *around])
@@ -215,18 +215,18 @@ def _load(params: Facts, given: Given) -> tuple[Gaussians, list[Gaussians]]:
     own = load_gaussians(given.path(0, "rows"))
     width = MARGIN * float(np.subtract(params["high"], params["low"]).max())
     near = [load_gaussians(given.path(number, "rows")) for number in range(1, params["whole"])]
-    halo = Gaussians.concatenate([g[_away(g.means, params) < width] for g in near]) if near else own[:0]
+    halo = Gaussians.concatenate([g[_distances_from_tile(g.means, params) < width] for g in near]) if near else own[:0]
     merged = [(load_gaussians(given.path(number, name)), reached) for number, name, reached in params["merged"]]
     room = max(0, params["room"] - len(own) - sum(len(g) for g, _ in merged))
     if len(halo) > room:
-        away = _away(halo.means, params)
+        away = _distances_from_tile(halo.means, params)
         width = float(np.partition(away, room)[room])
         halo = halo[away < width]
-    beyond = [g[_away(g.means, params) >= width] if reached else g for g, reached in merged]
+    beyond = [g[_distances_from_tile(g.means, params) >= width] if reached else g for g, reached in merged]
     return own, [halo, *beyond]
 
 
-def _away(points: NDArray[np.floating[Any]], params: Facts) -> F64:
+def _distances_from_tile(points: NDArray[np.floating[Any]], params: Facts) -> F64:
     """Return (P,) distances of points (P, 3) from the rectangle of a tile, the larger of both axes."""
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
     across = points[:, axes].astype(np.float64)

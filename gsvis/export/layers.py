@@ -23,7 +23,7 @@ _CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float
 
 
 def items_of(contents: Contents, blocks: Blocks) -> NDArray[np.int64]:
-    """Return (T,) the item of each term: the number of its block, plus B for each layer below its own.
+    """Return the item (T,) of each term: the number of its block, plus B for each layer below its own.
 
     Args:
         contents: A package of T terms.

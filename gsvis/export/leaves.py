@@ -132,7 +132,7 @@ def cut_leaves(levels: Levels, *, most: int = LEAF, kept: NDArray[np.bool_] | No
     some = (levels.last >= lowest) & (True if kept is None else np.asarray(kept, np.bool_))
     if not some.any():
         raise SceneError("leaves: no Gaussian is left; nothing to write")
-    far = some & _far(union)
+    far = some & _are_far(union)
     near = some & ~far
     if far.sum() > _MOST_FAR * some.sum() or not near.any():
         far = np.zeros_like(some)
@@ -158,8 +158,8 @@ def cut_leaves(levels: Levels, *, most: int = LEAF, kept: NDArray[np.bool_] | No
     return Leaves(levels, tree, of_ids, environment.astype(np.int64), lowest)
 
 
-def _far(g: Gaussians) -> NDArray[np.bool_]:
-    """Return (N,) whether each Gaussian lies far outside of the box that holds 98% of the centers."""
+def _are_far(g: Gaussians) -> NDArray[np.bool_]:
+    """Return a mask (N,): whether each Gaussian lies far outside of the box that holds 98% of the centers."""
     low, high = g.bounds(0.98)
     half = np.maximum((high - low) / 2.0, 1e-3 * float((high - low).max()) + 1e-30)
     return np.asarray((np.abs(g.means - (low + high) / 2.0) > _FAR * half).any(axis=1))

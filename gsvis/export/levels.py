@@ -48,7 +48,7 @@ def open_levels(
 
 
 def ever_seen(store: VisibilityStore, count: int) -> NDArray[np.bool_]:
-    """Return (N,) whether any cell sees each Gaussian."""
+    """Return a mask (N,): whether any cell sees each Gaussian."""
     seen = np.zeros(count, np.bool_)
     seen[np.asarray(store.ever_visible().to_array(), np.int64)] = True
     return seen

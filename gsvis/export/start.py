@@ -78,7 +78,7 @@ def start_poses(bounds: F64, grid: CellGrid | None, up: ArrayLike) -> tuple[Star
         size = float(np.linalg.norm(bounds[1] - bounds[0]))
         if size == 0.0:  # a single point
             size = 1e-3 * float(np.linalg.norm(middle)) or 1e-3
-        first = _across(above)
+        first = _perpendicular_axis(above)
         corner = (first - np.cross(above, first)) / np.sqrt(2.0)
         return (Start.looking(middle + (0.9 * corner + 0.3 * above) * size, middle, above),)
     centers = grid.centers
@@ -87,7 +87,7 @@ def start_poses(bounds: F64, grid: CellGrid | None, up: ArrayLike) -> tuple[Star
     away = away - np.outer(away @ above, above)
     far = away[np.linalg.norm(away, axis=1).argmax()]
     if not np.linalg.norm(far) > 1e-9 * grid.cell_size:
-        far = _across(above)
+        far = _perpendicular_axis(above)
     return (Start.looking(eye, eye + far, above), Start.looking(eye, eye - far, above))
 
 
@@ -101,7 +101,7 @@ def rich_poses(g: Gaussians, grid: CellGrid, up: ArrayLike, count: int = 3) -> t
         count: Largest number of views, each from a different cell.
     """
     above = np.asarray(up, np.float64) / np.linalg.norm(up)
-    ahead = _across(above)
+    ahead = _perpendicular_axis(above)
     aside = np.cross(above, ahead)
     best = []
     for cell in np.unique(np.linspace(0, len(grid) - 1, _CELLS).round().astype(int)).tolist():
@@ -168,7 +168,7 @@ def _starts_in(some: Source, space: NavigableSpace) -> tuple[Start, ...] | None:
     return tuple(Start.from_dict(view, mode) for view in found) or None
 
 
-def _across(above: F64) -> F64:
+def _perpendicular_axis(above: F64) -> F64:
     """Return a unit axis perpendicular to an axis, one of the scene's own axes if possible."""
     side = np.eye(3)[int(np.abs(above).argmin())]
     side -= above * (side @ above)

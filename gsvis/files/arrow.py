@@ -117,7 +117,7 @@ class ArrowFile:
             raise FormatError(self.path, "", f"{_MAGIC.decode()} at the end", got, f"it was cut; {DAMAGED}")
         self.header, self.schema = self._read_header(_schema_end(self.path, data), version, seal)
         if seal == "whole":
-            places = _places(self.path, data)
+            places = _checksum_places(self.path, data)
             if {bytes(data[place : place + _DIGITS]) for place in places} != {b"%08x" % _checksum(data, places)}:
                 raise FormatError(self.path, "", "bytes that fit their checksum", "other bytes", DAMAGED)
 
@@ -177,6 +177,7 @@ class ArrowFile:
         budget.claim(self._guard(where, "a record batch", lambda: _count_uncompressed_bytes(message)), where)
 
         def read() -> pa.RecordBatch:
+            """Return the batch, checked."""
             found = pa.ipc.read_record_batch(message, self.schema)
             found.validate(full=True)
             return found
@@ -190,7 +191,7 @@ class ArrowFile:
     @cached_property
     def _blocks(self) -> NDArray[Any]:
         """Places of the batches in the file, from the footer."""
-        data = memoryview(self._opened())
+        data = memoryview(self._open_buffer())
         start = _footer_start(self.path, data)
         end = len(data) - _TAIL
         footer = bytes(data[start:end])
@@ -208,10 +209,11 @@ class ArrowFile:
         return blocks
 
     def _message(self, number: int) -> pa.Message:
+        """Return the message of a batch."""
         offset, length, _, body = self._blocks[number].tolist()
-        return pa.ipc.read_message(self._opened().slice(offset, length + body))
+        return pa.ipc.read_message(self._open_buffer().slice(offset, length + body))
 
-    def _opened(self) -> pa.Buffer:
+    def _open_buffer(self) -> pa.Buffer:
         """Return the buffer; raise if the file is closed."""
         if self._buffer is None:
             raise ValueError("file: expected an open one, got one that was closed; open it again")
@@ -221,7 +223,8 @@ class ArrowFile:
         """Return the checked JSON header and the schema."""
 
         def read() -> pa.Schema:
-            found = pa.ipc.read_schema(self._opened().slice(8, end - 8))
+            """Return the schema, checked."""
+            found = pa.ipc.read_schema(self._open_buffer().slice(8, end - 8))
             _ = found.names  # names that are not UTF-8 must raise here, not in an error message
             return found
 
@@ -243,7 +246,7 @@ class ArrowFile:
 
     def _guard(self, where: str, expected: str, read: Callable[[], _Read]) -> _Read:
         """Return `read()`; raise FormatError instead of Arrow's errors for damaged bytes."""
-        self._opened()
+        self._open_buffer()
         try:
             return read()
         except FormatError:
@@ -256,7 +259,7 @@ class ArrowFile:
 def _seal_whole(path: Path) -> None:
     """Write the checksum of a file over its zeros."""
     with open(path, "r+b") as file, mmap.mmap(file.fileno(), 0) as mapped, memoryview(mapped) as data:
-        places = _places(path, data)
+        places = _checksum_places(path, data)
         digits = b"%08x" % _checksum(data, places)
         for place in places:
             data[place : place + _DIGITS] = digits
@@ -294,7 +297,7 @@ def _footer_start(path: Path, data: memoryview) -> int:
     return start
 
 
-def _places(path: Path, data: memoryview) -> list[int]:
+def _checksum_places(path: Path, data: memoryview) -> list[int]:
     """Return the two offsets of the checksum's digits: in the schema, and in the footer."""
     places = []
     for start, end in ((8, _schema_end(path, data)), (_footer_start(path, data), len(data) - _TAIL)):
@@ -324,10 +327,10 @@ def _list_blocks(footer: bytes) -> NDArray[Any]:
     References:
         Apache Arrow columnar format, "IPC File Format"; FlatBuffers internals, vectors of structs.
     """
-    place = _field(footer, _follow(footer, 0), 3)  # Footer.recordBatches
+    place = _field(footer, _follow_offset(footer, 0), 3)  # Footer.recordBatches
     if not place:
         return np.zeros(0, _BLOCK)
-    vector = _follow(footer, place)
+    vector = _follow_offset(footer, place)
     (count,) = struct.unpack_from("<I", footer, vector)
     return np.frombuffer(footer, _BLOCK, count, vector + 4)
 
@@ -342,9 +345,9 @@ def _count_uncompressed_bytes(message: pa.Message) -> int:
         Apache Arrow columnar format, "Compression" of record batches; FlatBuffers internals, tables and vectors.
     """
     data = message.metadata.to_pybytes()
-    batch = _follow(data, _field(data, _follow(data, 0), 2))  # Message.header
+    batch = _follow_offset(data, _field(data, _follow_offset(data, 0), 2))  # Message.header
     compressed = _field(data, batch, 3) != 0
-    buffers = _follow(data, _field(data, batch, 2))
+    buffers = _follow_offset(data, _field(data, batch, 2))
     body = message.body
     total = 0
     for k in range(struct.unpack_from("<I", data, buffers)[0]):
@@ -370,5 +373,6 @@ def _name_of(path: str | os.PathLike[str]) -> bytes:
     return os.fsencode(path)
 
 
-def _follow(data: bytes, place: int) -> int:
+def _follow_offset(data: bytes, place: int) -> int:
+    """Return the place to which an offset of FlatBuffers at `place` points."""
     return place + int(struct.unpack_from("<I", data, place)[0])

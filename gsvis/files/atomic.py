@@ -289,6 +289,7 @@ def _host() -> str:
 
 
 def _hidden(name: str, suffix: str = "", host: str = "") -> str:
+    """Return a new hidden name for a temporary file beside a target."""
     return f".{name}.gsvis-{host or _host()}{secrets.token_hex(4)}{suffix}"
 
 
@@ -389,6 +390,7 @@ def _delete(path: Path) -> None:
 
 
 def _close(descriptor: int | None) -> None:
+    """Close a descriptor, if there is one."""
     if descriptor is not None:
         os.close(descriptor)
 

@@ -103,7 +103,7 @@ class ArrayLists:
 
     def rows(self, name: str, first: int = 0, end: int | None = None) -> NDArray[Any]:
         """Return some rows of an array."""
-        return self._whole(name)[first:end]
+        return self._join_pieces(name)[first:end]
 
     def arrays(
         self,
@@ -117,16 +117,17 @@ class ArrayLists:
         Args:
             joined: For each of these names, the arrays that become its rows; they have one length.
             same: For each of these names, the array that it is another name of.
-            frozen: Names of arrays that nobody may write to.
+            frozen: Names of read-only arrays.
         """
         rows = joined or {}
         inner = {part for parts in rows.values() for part in parts}
-        found = {name: self._whole(name) for name in self._pieces if name not in inner}
-        found |= {name: np.stack([self._whole(part) for part in parts]) for name, parts in rows.items()}
+        found = {name: self._join_pieces(name) for name in self._pieces if name not in inner}
+        found |= {name: np.stack([self._join_pieces(part) for part in parts]) for name, parts in rows.items()}
         found |= {name: found[of] for name, of in (same or {}).items()}
         return {name: _with_flag(array, name not in frozen) for name, array in found.items()}
 
-    def _whole(self, name: str) -> NDArray[Any]:
+    def _join_pieces(self, name: str) -> NDArray[Any]:
+        """Return all rows of an array; join its pieces first."""
         pieces = self._pieces[name]
         if len(pieces) > 1:
             pieces[:] = [np.concatenate(pieces)]
@@ -197,7 +198,7 @@ class ArrayFiles:
             facts: JSON values.
             joined: For each of these names, the arrays that become its rows; they have one length.
             same: For each of these names, the array that it is another name of.
-            frozen: Names of arrays that nobody may write to.
+            frozen: Names of read-only arrays.
 
         Raises:
             OutputError: If the file cannot be written.

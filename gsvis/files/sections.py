@@ -176,6 +176,7 @@ class SectionFile:
         return place, length, header_crc
 
     def _foreign(self, head: bytes) -> FormatError:
+        """Return the error for a file of a different format."""
         got = f"a file that begins {head[:8]!r}"
         return FormatError(self.path, "byte 0", self.kind.name, got, self.kind.remedy)
 

@@ -31,7 +31,7 @@ class Shelf:
     def put(self, thing: _Thing) -> _Thing:
         """Return an object with its arrays in a file; drop the original to free its memory.
 
-        Arrays that the two shared with other objects are copied. Those that nobody may write to stay so.
+        Arrays that are shared with other objects are copied. Read-only arrays stay read-only.
 
         Raises:
             OutputError: If the file cannot be written.

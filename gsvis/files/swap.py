@@ -34,7 +34,7 @@ def swap_folder(made: Path, target: Path) -> bool:
     if _call() is None or _is_in_use(place) or not os.access(place, os.W_OK | os.X_OK):
         return False
     try:
-        if sum(1 for _ in _others(place, made)) > _MOST:
+        if sum(1 for _ in _missing_entries(place, made)) > _MOST:
             return False
         _keep_others(place, made)
         _take_rights(place, made)
@@ -43,11 +43,11 @@ def swap_folder(made: Path, target: Path) -> bool:
     except OSError:
         return False
     with suppress(OSError):
-        _keep_others(made, place)  # what somebody wrote meanwhile
+        _keep_others(made, place)  # files that were written meanwhile
     return True
 
 
-def _others(old: Path, new: Path) -> Iterator[tuple[os.DirEntry[str], Path]]:
+def _missing_entries(old: Path, new: Path) -> Iterator[tuple[os.DirEntry[str], Path]]:
     """Yield the entries of a folder, at any depth, that a second folder lacks, and their places there.
 
     Raises:
@@ -66,12 +66,12 @@ def _others(old: Path, new: Path) -> Iterator[tuple[os.DirEntry[str], Path]]:
             if os.path.ismount(entry.path):
                 raise OSError(errno.EXDEV, os.strerror(errno.EXDEV), entry.path)
             if is_new or _is_folder(other):
-                yield from _others(Path(entry.path), other)
+                yield from _missing_entries(Path(entry.path), other)
 
 
 def _keep_others(old: Path, new: Path) -> None:
     """Link all files of a folder into a second folder, which has none of their names."""
-    for entry, other in _others(old, new):
+    for entry, other in _missing_entries(old, new):
         if entry.is_dir(follow_symlinks=False):
             other.mkdir()
         else:

@@ -109,11 +109,11 @@ def _spellings(vertex: Element) -> dict[str, str]:
     """Return the file's spelling of each name of INRIA; an exact spelling wins over variants."""
     spelled: dict[str, str] = {}
     for name in vertex.properties:
-        spelled.setdefault(_plain(name), name)
+        spelled.setdefault(_inria_name(name), name)
     return spelled | {name: name for name in vertex.properties}
 
 
-def _plain(name: str) -> str:
+def _inria_name(name: str) -> str:
     """Return INRIA's name of a column."""
     lower = name.lower()
     bare = _PREFIX.sub("", lower, count=1) if _PREFIX.match(lower) else lower
@@ -125,7 +125,7 @@ def _plain(name: str) -> str:
 
 def _higher(path: str | os.PathLike[str], spelled: dict[str, str]) -> tuple[tuple[str, ...], int]:
     """Return the f_rest columns of degree 1 to 3 in the order of `shN`, and the degree of the file."""
-    rest = sum(bool(re.fullmatch(r"f_rest_\d+", name)) and name == _plain(name) for name in spelled)
+    rest = sum(bool(re.fullmatch(r"f_rest_\d+", name)) and name == _inria_name(name) for name in spelled)
     side = math.isqrt(rest // 3 + 1)
     if rest % 3 or side * side != rest // 3 + 1 or any(f"f_rest_{i}" not in spelled for i in range(rest)):
         expected = "0, 9, 24 or 45 properties f_rest_0, f_rest_1, ... (SH degree 0 to 3)"

@@ -50,12 +50,12 @@ def fit_coordinates(scene: Gaussians, usual_bits: int, path: str | os.PathLike[s
     reaches = np.abs(scene.means).max(axis=1).astype(np.float64)
     size = size_of_gaussians(scene.scales)
     wanted = next((bits for bits in range(usual_bits, _MOST_BITS) if 2.0**-bits <= _FINE * size), _MOST_BITS)
-    whole = _bits(float(reaches.max()), wanted)
+    whole = _fraction_bits(float(reaches.max()), wanted)
     if whole is not None and 2.0**-whole <= _FINE * size:
         return scene, min(whole, wanted)
     flown = int(_MOVED_SHARE * len(scene)) if len(scene) >= 1000 else min(1, len(scene) // 20)
     most = float(np.partition(reaches, len(scene) - 1 - flown)[len(scene) - 1 - flown])
-    bits = _bits(most, wanted)
+    bits = _fraction_bits(most, wanted)
     if bits is None or 2.0**-bits > 4.0 * _FINE * size:
         moved = _recentered(scene, most)
         if moved is not None:
@@ -74,7 +74,7 @@ def fit_coordinates(scene: Gaussians, usual_bits: int, path: str | os.PathLike[s
     return _with_flyaways_inside(scene, reaches, bits, path), bits
 
 
-def _bits(reach: float, most: int) -> int | None:
+def _fraction_bits(reach: float, most: int) -> int | None:
     """Return how many fraction bits, at most `most`, coordinates up to a reach can have; None if they do not fit."""
     return next((bits for bits in range(most, -1, -1) if reach * 2.0**bits < _SIDE), None)
 
@@ -137,6 +137,7 @@ def report_spz_losses(scene: Gaussians, path: str | os.PathLike[str]) -> None:
 
 
 def _report_thin(path: str | os.PathLike[str], count: int, least: float) -> None:
+    """Log how many Gaussians get thicker scales."""
     if count:
         text = f"scales of {count:,} Gaussians below {least:.2g} become {least:.2g}"
         report_loss(path, "scales", text, count)

@@ -336,6 +336,7 @@ class _Unpickler(pickle._Unpickler):
         return self.pop_mark()  # type: ignore[attr-defined,no-any-return]
 
     def _set_item(self) -> None:
+        """Add one pair to the dictionary on the stack."""
         value = self.stack.pop()
         key = self.stack.pop()
         self._add_pairs([key, value])
@@ -352,6 +353,7 @@ class _Unpickler(pickle._Unpickler):
             raise pickle.UnpicklingError(f"items of a {type(target).__name__}")
 
     def _make_dict(self) -> None:
+        """Push a dictionary of the pairs since the mark."""
         items = self._pop_since_mark()
         self.stack.append({})
         self._add_pairs(items)
@@ -363,10 +365,12 @@ class _Unpickler(pickle._Unpickler):
         self._pop_since_mark()
 
     def _make_frozen_set(self) -> None:
+        """Push a placeholder for a frozen set."""
         self._pop_since_mark()
         self.stack.append(_Ignored())
 
     def _build(self) -> None:
+        """Ignore the state of an object."""
         self.stack.pop()  # drop the state of an object
 
     def _call(self) -> None:
@@ -377,14 +381,17 @@ class _Unpickler(pickle._Unpickler):
         self.stack.append(maker(*arguments) if few and callable(maker) else _Ignored())
 
     def _call_with_names(self) -> None:
+        """Call a function, and ignore its keyword arguments."""
         self.stack.pop()
         self._call()
 
     def _call_since_mark(self) -> None:
+        """Push a placeholder for the result of a call."""
         self._pop_since_mark()
         self.stack.append(_Ignored())
 
     def _call_named(self) -> None:
+        """Push a placeholder for the result of a call by name."""
         self.readline(), self.readline()
         self._call_since_mark()
 

@@ -57,54 +57,54 @@ def facts_from_json(value: Any) -> SceneFacts:
     """Return the facts of a JSON object; invalid entries are ignored."""
     if not isinstance(value, dict):
         return _DEFAULT
-    axis = _triple(value.get("up"))
+    axis = _parse_triple(value.get("up"))
     if axis is not None and not abs(float(np.linalg.norm(axis)) - 1.0) < _ROUNDING:
         axis = None
     source = value.get("up_source")
     if axis is None or not isinstance(source, str) or not source.isprintable():
         source = ""
-    box, box_turn = _box(value)
+    box, box_turn = _parse_box(value)
     return SceneFacts(
-        origin=_triple(value.get("origin")) or _DEFAULT.origin,
+        origin=_parse_triple(value.get("origin")) or _DEFAULT.origin,
         up=axis,
         up_source=source[:_MOST_SOURCE],
         antialiased=value.get("antialiased") is True,
-        meters_per_unit=_length(value.get("meters_per_unit")),
+        meters_per_unit=_parse_length(value.get("meters_per_unit")),
         box=box,
         box_turn=box_turn,
-        eye=_triple(value.get("eye")),
-        clearance=_length(value.get("clearance")),
+        eye=_parse_triple(value.get("eye")),
+        clearance=_parse_length(value.get("clearance")),
     )
 
 
-def _box(value: dict[str, Any]) -> tuple[tuple[Triple, Triple] | None, Quad]:
+def _parse_box(value: dict[str, Any]) -> tuple[tuple[Triple, Triple] | None, Quad]:
     """Return the box and its rotation; None and no rotation unless both are valid."""
     none = None, _DEFAULT.box_turn
     box = value.get("box")
     if not isinstance(box, list) or len(box) != 2:
         return none
-    low, high = (_triple(corner) for corner in box)
+    low, high = (_parse_triple(corner) for corner in box)
     if low is None or high is None or any(a > b for a, b in zip(low, high, strict=True)):
         return none
     if "box_turn" not in value:
         return (low, high), _DEFAULT.box_turn
-    turn = _turn(value["box_turn"])
+    turn = _parse_quaternion(value["box_turn"])
     return none if turn is None else ((low, high), turn)
 
 
-def _triple(value: Any) -> Triple | None:
+def _parse_triple(value: Any) -> Triple | None:
     """Return three finite numbers; None for anything else."""
     if not isinstance(value, list) or len(value) != 3:
         return None
-    x, y, z = (_number(each) for each in value)
+    x, y, z = (_parse_number(each) for each in value)
     return None if x is None or y is None or z is None else (x, y, z)
 
 
-def _turn(value: Any) -> Quad | None:
+def _parse_quaternion(value: Any) -> Quad | None:
     """Return a unit quaternion, normalized; None for anything else."""
     if not isinstance(value, list) or len(value) != 4:
         return None
-    found = [_number(each) for each in value]
+    found = [_parse_number(each) for each in value]
     numbers = np.array([np.nan if each is None else each for each in found])
     length = float(np.linalg.norm(numbers))
     if not abs(length - 1.0) < _ROUNDING:
@@ -113,13 +113,13 @@ def _turn(value: Any) -> Quad | None:
     return w, x, y, z
 
 
-def _length(value: Any) -> float | None:
+def _parse_length(value: Any) -> float | None:
     """Return a finite JSON number above 0; None for anything else."""
-    number = _number(value)
+    number = _parse_number(value)
     return number if number is not None and number > 0.0 else None
 
 
-def _number(value: Any) -> float | None:
+def _parse_number(value: Any) -> float | None:
     """Return a finite JSON number; None for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None

@@ -96,8 +96,8 @@ def fit_cameras(
         count = len(cameras)
         line = (
             f"The cameras were transformed into the frame of the scene by {found}:"
-            f" {_seeing(best, count)} of {count:,} see"
-            f" it, {_seeing(lost, count)} without the transform."
+            f" {_count_seeing(best, count)} of {count:,} see"
+            f" it, {_count_seeing(lost, count)} without the transform."
         )
         warning = () if best < _MANY else (_warning(best, count),)
         return Framed(place(move_cameras(cameras, moved)), moved, (line, *warning), best)
@@ -150,7 +150,7 @@ def _compose(second: Similarity, first: Similarity) -> Similarity:
     )
 
 
-def _seeing(lost: float, count: int) -> str:
+def _count_seeing(lost: float, count: int) -> str:
     """Return the number of cameras that see something, from the share that sees nothing."""
     return f"{round((1.0 - lost) * count):,}"
 

@@ -92,10 +92,10 @@ def decode_gltf_splats(path: str | os.PathLike[str], data: bytes) -> Gaussians:
     if not parts:
         remedy = "meshes and point clouds are no scene of Gaussians"
         raise FormatError(path, "", f"a mesh with the extension {SPLATS}", "none", remedy)
-    return _stated(root, parts[0] if len(parts) == 1 else Gaussians.concatenate(parts))
+    return _with_facts(root, parts[0] if len(parts) == 1 else Gaussians.concatenate(parts))
 
 
-def _stated(root: Fields, scene: Gaussians) -> Gaussians:
+def _with_facts(root: Fields, scene: Gaussians) -> Gaussians:
     """Return the scene with the facts of the file: +y up, and the facts of gsvis in the extras of the asset."""
     asset = root.raw("asset") if "asset" in root else None
     extras = asset.get("extras") if isinstance(asset, dict) else None
@@ -166,7 +166,7 @@ def _primitive(fields: Fields, accessors: Accessors, budget: Budget) -> Gaussian
         remedy = "drafts of the extension stored logarithms; export it again with a newer program"
         raise FormatError(path, f"{SPLATS}:SCALE", "scales of at least 0", f"{scales.min():g}", remedy)
     opacities = accessors.read(attributes, f"{SPLATS}:OPACITY", "SCALAR")
-    bands = _bands(attributes)
+    bands = _band_names(attributes)
     budget.claim(12 * len(means) * sum(map(len, bands)), attributes.trail)
     read = [[accessors.read(attributes, name, "VEC3") for name in names] for names in bands]
     columns: list[tuple[str, F32]] = [("ROTATION", quats), ("SCALE", scales), ("OPACITY", opacities)]
@@ -190,7 +190,7 @@ def _primitive(fields: Fields, accessors: Accessors, budget: Budget) -> Gaussian
     )
 
 
-def _bands(attributes: Fields) -> list[tuple[str, ...]]:
+def _band_names(attributes: Fields) -> list[tuple[str, ...]]:
     """Return the names of the coefficients of each degree that the file has; raise if a degree is incomplete."""
     bands: list[Any] = [sh_names(degree) for degree in range(4)]
     there = [sum(name in attributes for name in names) for names in bands]

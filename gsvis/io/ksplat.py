@@ -157,7 +157,7 @@ def _decode(
         if level == 2:
             values = values / np.float32(255.0) * np.float32(limits[1] - limits[0]) + np.float32(limits[0])
         higher = np.zeros((n, (degree + 1) ** 2 - 1, 3), np.float32)
-        order = _order(section.degree)
+        order = _coefficient_places(section.degree)
         higher[:, : len(order)] = values[:, order]
         quats = records["quats"].astype(np.float32)
     return means, quats, scales, rgba[:, 3], sh0_from_rgb(rgba[:, :3]), higher
@@ -187,7 +187,7 @@ def _record(level: int, degree: int) -> np.dtype[Any]:
     return np.dtype([*fields, ("sh", sh, (_COMPONENTS[degree],))])
 
 
-def _order(degree: int) -> NDArray[np.int64]:
+def _coefficient_places(degree: int) -> NDArray[np.int64]:
     """Return the (K-1, 3) place of each coefficient of each channel: by band, then channel."""
     bands = [np.arange(3)[None, :] * size + np.arange(size)[:, None] for size in (3, 5)[:degree]]
     rows = [start + band for start, band in zip((0, 9), bands, strict=False)]
@@ -337,7 +337,7 @@ def _sh_limits(higher: F32) -> tuple[float, float]:
 def _encode(scene: Gaussians, level: int, buckets: _Buckets | None, limits: tuple[float, float]) -> NDArray[Any]:
     """Return the records (N,) of a scene, in the order of its buckets."""
     records = np.zeros(len(scene), _record(level, scene.sh_degree))
-    order = _order(scene.sh_degree).reshape(-1)
+    order = _coefficient_places(scene.sh_degree).reshape(-1)
     values = np.empty((len(scene), len(order)), np.float32)
     values[:, order] = scene.shN.reshape(len(scene), -1)
     if buckets is None:

@@ -89,6 +89,7 @@ class _Collector(logging.Handler):
         self.losses: list[Loss] = []
 
     def emit(self, record: logging.LogRecord) -> None:
+        """Keep the loss of a log record, if it has one."""
         loss = getattr(record, "loss", None)
         if isinstance(loss, Loss):
             self.losses.append(loss)

@@ -91,7 +91,7 @@ def read_ply(
     facts = _facts(header, vertex, columns, stream)
     if rows is None or rows[0] == 0:
         _report(header.path, columns, facts)
-    part = header if rows is None else _cut(header, *rows)
+    part = header if rows is None else _cut_header(header, *rows)
     return _read(part, columns, facts, stream)
 
 
@@ -113,7 +113,7 @@ def ply_rows(path: str | os.PathLike[str], stream: BinaryIO) -> tuple[int, int] 
     return vertex.count, row.itemsize
 
 
-def _cut(header: PlyHeader, start: int, stop: int) -> PlyHeader:
+def _cut_header(header: PlyHeader, start: int, stop: int) -> PlyHeader:
     """Return a header for some of the rows.
 
     Raises:
@@ -307,7 +307,7 @@ def save_ply_parts(
             left -= len(part)
             placed = part.with_origin(stated.origin)
             start = 0
-            for table in _tables(placed, names, k):
+            for table in _row_tables(placed, names, k):
                 some = slice(start, start + len(table))
                 stream.write(_with_doubles(placed, some, table) if double else table.data)
                 start = some.stop
@@ -323,7 +323,7 @@ def _with_doubles(scene: Gaussians, some: slice, table: F32) -> bytes:
     return rows.tobytes()
 
 
-def _tables(scene: Gaussians, names: tuple[str, ...], k: int) -> Iterator[NDArray[np.float32]]:
+def _row_tables(scene: Gaussians, names: tuple[str, ...], k: int) -> Iterator[NDArray[np.float32]]:
     """Yield the rows of a scene in chunks, with columns of these names; k SH coefficients above degree 0."""
     at = {name: i for i, name in enumerate(names)}
     own = scene.shN.shape[1]

@@ -149,6 +149,7 @@ def _check_rows(header: PlyHeader, place: tuple[int, int, int], means: F32, colo
     first, offset, size = place
 
     def where(row: int) -> str:
+        """Return the place of a row in the file, as text."""
         number = first + row
         return f"row {number:,}" if header.encoding == "ascii" else f"byte {offset + number * size:,} (row {number:,})"
 

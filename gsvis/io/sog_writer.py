@@ -93,12 +93,12 @@ def encode_sog(scene: Gaussians, *, palette: int = _MAX_PALETTE, digits: int | N
     scales = np.log(scene.scales.astype(np.float64)).astype(np.float32)
     codebook = _rounded(codebook_of(scales), digits)
     planes["scales"] = _as_plane(nearest_entry(scales, codebook))
-    meta["scales"] = {"codebook": _spelled(codebook, digits), "files": ["scales.webp"]}
+    meta["scales"] = {"codebook": _numbers_for_json(codebook, digits), "files": ["scales.webp"]}
     sh0 = scene.sh0[:, 0]
     codebook = _rounded(codebook_of(sh0), digits)
     opacities = np.rint(scene.opacities * 255.0).astype(np.uint8)
     planes["sh0"] = _as_plane(np.column_stack([nearest_entry(sh0, codebook), opacities]))
-    meta["sh0"] = {"codebook": _spelled(codebook, digits), "files": ["sh0.webp"]}
+    meta["sh0"] = {"codebook": _numbers_for_json(codebook, digits), "files": ["sh0.webp"]}
     error = 0.0
     if scene.sh_degree:
         meta["shN"], error = _higher(scene, planes, palette, digits)
@@ -140,14 +140,14 @@ def report_palette_loss(path: str | os.PathLike[str], gaussians: int, sets: int,
         report_loss(path, "SH", text, gaussians)
 
 
-def _spelled(values: NDArray[np.floating[Any]], digits: int | None) -> list[float]:
+def _numbers_for_json(values: NDArray[np.floating[Any]], digits: int | None) -> list[float]:
     """Return numbers for JSON, rounded to significant digits; None keeps all digits."""
     return [v if digits is None else float(f"{v:.{digits}g}") for v in values.tolist()]
 
 
 def _rounded(codebook: F32, digits: int | None) -> F32:
     """Return a codebook as readers will parse it."""
-    return np.asarray(_spelled(codebook, digits), np.float32)
+    return np.asarray(_numbers_for_json(codebook, digits), np.float32)
 
 
 def _as_plane(values: U8) -> U8:
@@ -199,7 +199,7 @@ def _higher(scene: Gaussians, planes: dict[str, U8], entries: int, digits: int |
     meta = {
         "count": len(palette),
         "bands": scene.sh_degree,
-        "codebook": _spelled(codebook, digits),
+        "codebook": _numbers_for_json(codebook, digits),
         "files": ["shN_centroids.webp", "shN_labels.webp"],
     }
     return meta, math.sqrt(squares / (3 * n * 4.0 * math.pi))  # the mean square of each basis function is 1 / (4 pi)

@@ -357,11 +357,11 @@ def save_spz(scene: Gaussians, path: str | os.PathLike[str], *, compact: bool = 
     report_spz_losses(fitted, path)
     if any(scene.facts.origin):
         report_note(path, "the origin is a note that only gsvis reads; other programs see the scene at (0, 0, 0)")
-    streams = [_byte_stream(stream) for stream in _pack_streams(fitted, fraction_bits, compact)]
+    streams = [_stream_bytes(stream) for stream in _pack_streams(fitted, fraction_bits, compact)]
     packed = [zstandard.ZstdCompressor(level=12).compress(stream) for stream in streams]
     extensions = _extensions(fitted.facts)
     contents = _HEADER.size + _V4_REST.size + len(extensions)
-    flags = _flags(fitted.facts) | (_HAS_EXTENSIONS if extensions else 0)
+    flags = _header_flags(fitted.facts) | (_HAS_EXTENSIONS if extensions else 0)
     with atomic_path(path) as partial, open(partial, "wb") as out:
         out.write(_HEADER.pack(_MAGIC, 4, len(scene), scene.sh_degree, fraction_bits, flags, len(streams)))
         out.write(_V4_REST.pack(contents))
@@ -371,7 +371,7 @@ def save_spz(scene: Gaussians, path: str | os.PathLike[str], *, compact: bool = 
         out.writelines(packed)
 
 
-def _flags(facts: SceneFacts) -> int:
+def _header_flags(facts: SceneFacts) -> int:
     """Return the flags of the header."""
     return _ANTIALIASED if facts.antialiased else 0
 
@@ -399,9 +399,9 @@ def encode_old_spz(scene: Gaussians, path: str | os.PathLike[str] = "") -> tuple
     fitted, fraction_bits = fit_coordinates(scene, 16, path)
     report_spz_losses(fitted, path)
     packer = zlib.compressobj(9, wbits=31)
-    head = _HEADER.pack(_MAGIC, 3, len(scene), scene.sh_degree, fraction_bits, _flags(scene.facts), 0)
+    head = _HEADER.pack(_MAGIC, 3, len(scene), scene.sh_degree, fraction_bits, _header_flags(scene.facts), 0)
     parts = [packer.compress(head)]
-    parts += [packer.compress(_byte_stream(stream)) for stream in _pack_streams(fitted, fraction_bits, compact=False)]
+    parts += [packer.compress(_stream_bytes(stream)) for stream in _pack_streams(fitted, fraction_bits, compact=False)]
     return b"".join([*parts, packer.flush()]), fitted
 
 
@@ -432,8 +432,8 @@ def _to_byte(values: NDArray[np.floating]) -> U8:
     return np.asarray(np.clip(np.rint(values), 0, 255), np.uint8)
 
 
-def _byte_stream(values: NDArray[np.generic]) -> bytes:
-    """Return the bytes of values."""
+def _stream_bytes(values: NDArray[np.generic]) -> bytes:
+    """Return the values of a stream as bytes, in the order of the array."""
     return np.ascontiguousarray(values).tobytes()
 
 

@@ -66,11 +66,13 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
         idempotent = True
 
         def setup(self, worker: Any) -> None:
+            """Use as many kernel threads as the worker has."""
             from gsvis.jobs import processes
 
             processes.use_threads(worker.state.nthreads)
 
         def teardown(self, worker: Any) -> None:
+            """Return to the default number of kernel threads."""
             from gsvis.jobs import processes
 
             processes.use_threads(None)
@@ -138,7 +140,7 @@ def _ask(address: str, timeout: float) -> Any:
 
 
 def _close_late(answer: Future[Any]) -> None:
-    """Close a client that nobody waits for any more."""
+    """Close a client that is no longer used."""
     if answer.exception() is None:
         answer.result().close()
 

@@ -52,7 +52,7 @@ def speed_up(count: int, workers: Workers, threads: float = 1.0) -> float:
 
 
 def machine_load() -> float | None:
-    """Return how many processes have used or waited for a core in the last minute, mean; None where nobody knows."""
+    """Return the mean number of processes that used or waited for a core in the last minute; None if unknown."""
     try:
         return round(os.getloadavg()[0], 2)
     except (AttributeError, OSError):

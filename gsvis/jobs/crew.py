@@ -131,6 +131,7 @@ class Crew(Generic[Result]):
         return future
 
     def _message(self) -> str:
+        """Return the message for workers that were lost too often."""
         remedy = "use fewer --workers, another --max-memory or smaller tiles"
         if self._executor is not None:
             remedy = "are the scheduler and its workers alive, with enough memory?"

@@ -356,10 +356,12 @@ class _Run:
         return None
 
     def _put_back(self, number: int) -> None:
+        """Make a task of a lost worker ready again."""
         del self.running[number]
         heapq.heappush(self.ready, number)
 
     def _finish(self, number: int, result: Result) -> None:
+        """Record a result, and make tasks ready that waited for it."""
         name = self.tasks[number].name
         self.results[name] = result
         self.progress(self.stage, len(self.results), len(self.tasks))
@@ -370,10 +372,12 @@ class _Run:
 
 
 def _too_large(name: str, need: int, limit: int) -> ArgumentError:
+    """Return the error for a task that needs too much memory."""
     return memory_error(need, limit, f"all workers, one of them with {name}", TOO_LARGE)
 
 
 def _check_worker(job: Job) -> None:
+    """Raise BackendError unless this worker has the version of gsvis and the kind of processor of a job."""
     where = f"a worker on {platform.node()}, process {os.getpid()}"
     if _version() != job.version:
         raise BackendError(f"{where}: expected gsvis {job.version}, as here, got gsvis {_version()}; install it there")
@@ -386,13 +390,14 @@ def _check_worker(job: Job) -> None:
 
 @cache
 def _version() -> str:
+    """Return the version of the installed gsvis."""
     from importlib.metadata import version
 
     return version("gsvis")
 
 
 def _peak_memory() -> int:
-    """Return the most bytes of memory that this process has used; 0 where nobody knows."""
+    """Return the peak bytes of memory of this process; 0 if the system does not report it."""
     try:
         import resource
     except ImportError:

@@ -57,30 +57,30 @@ def open_store(address: str | os.PathLike[str], *, patience: float = 120.0) -> O
 
 
 class ObjectStore:
-    """What both kinds of store have in common; `open_store` makes one.
+    """Base of the two kinds of store; `open_store` opens one.
 
     Attributes:
-        address: Where it is, as another process can open it.
+        address: Address with which any process can open the store.
     """
 
     address: str
 
     def put(self, path: Path) -> StoredObject:
-        """Store the content of a file; an object that is there already is not written again."""
+        """Store the content of a file; an object that exists is not written again."""
         found = digest_of(path), path.stat().st_size
         if not self.has(found):
             self._put(path, found)
         return found
 
     def has(self, wanted: StoredObject) -> bool:
-        """Return whether an object is there with the right size; its content is not read."""
+        """Return whether an object exists with the right size; its content is not read."""
         raise NotImplementedError
 
     def path_of(self, wanted: StoredObject, cache: Path) -> Path:
         """Return a path of a local file with an object; copy it into `cache` first if the store is elsewhere.
 
         Raises:
-            FormatError: If the object is missing or has another content.
+            FormatError: If the object is missing, or its content does not fit its name.
         """
         raise NotImplementedError
 
@@ -96,6 +96,7 @@ class ObjectStore:
         """Remove all notes and objects but these."""
 
     def _put(self, path: Path, found: StoredObject) -> None:
+        """Write the content of a file as an object."""
         raise NotImplementedError
 
 
@@ -111,27 +112,32 @@ class FolderStore(ObjectStore):
         self.address = str(self.folder)
 
     def has(self, wanted: StoredObject) -> bool:
+        """See `ObjectStore.has`."""
         try:
             return self._at(wanted[0]).stat().st_size == wanted[1]
         except OSError:
             return False
 
     def path_of(self, wanted: StoredObject, cache: Path) -> Path:
+        """See `ObjectStore.path_of`."""
         path = self._at(wanted[0])
         _compare(path, wanted)
         return path
 
     def keep_note(self, name: str, data: bytes) -> None:
+        """See `ObjectStore.keep_note`."""
         with atomic_path(self.folder / _NOTES / _checked(name), sweep=False) as temporary:
             temporary.write_bytes(seal(data))
 
     def note(self, name: str) -> bytes | None:
+        """See `ObjectStore.note`."""
         try:
             return unseal(read_whole(self.folder / _NOTES / _checked(name)))
         except (OSError, FormatError):
             return None
 
     def sweep(self, notes: Collection[str], objects: Collection[str]) -> None:
+        """See `ObjectStore.sweep`."""
         for folder in (self.folder / _NOTES, *sorted((self.folder / _OBJECTS).glob("??"))):
             remove_all_partials(folder)
             kept = notes if folder.name == _NOTES else objects
@@ -140,9 +146,11 @@ class FolderStore(ObjectStore):
                     path.unlink(missing_ok=True)
 
     def _at(self, digest: str) -> Path:
+        """Return the path of an object."""
         return self.folder / _OBJECTS / digest[:2] / digest
 
     def _put(self, path: Path, found: StoredObject) -> None:
+        """Write the content of a file as an object."""
         target = self._at(found[0])
         with output_errors(self.folder):
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -170,6 +178,7 @@ class RemoteStore(ObjectStore):
             raise BackendError(f"{self.address}: no store can be opened there: {_reason(error)}") from error
 
     def has(self, wanted: StoredObject) -> bool:
+        """See `ObjectStore.has`."""
         try:
             info = self._call("looking up an object", lambda: self._files.info(self._at(wanted[0])))
         except FileNotFoundError:
@@ -177,6 +186,7 @@ class RemoteStore(ObjectStore):
         return bool(info.get("size") == wanted[1])
 
     def path_of(self, wanted: StoredObject, cache: Path) -> Path:
+        """See `ObjectStore.path_of`."""
         path = cache / wanted[0]
         if path.is_file() and path.stat().st_size == wanted[1]:
             return path
@@ -197,10 +207,12 @@ class RemoteStore(ObjectStore):
         return path
 
     def keep_note(self, name: str, data: bytes) -> None:
+        """See `ObjectStore.keep_note`."""
         at = f"{self._root}/{_NOTES}/{_checked(name)}"
         self._call("writing a note", lambda: self._files.pipe_file(at, seal(data)))
 
     def note(self, name: str) -> bytes | None:
+        """See `ObjectStore.note`."""
         at = f"{self._root}/{_NOTES}/{_checked(name)}"
         try:
             return unseal(self._call("reading a note", lambda: self._files.cat_file(at)))
@@ -208,9 +220,11 @@ class RemoteStore(ObjectStore):
             return None
 
     def _at(self, digest: str) -> str:
+        """Return the path of an object."""
         return f"{self._root}/{_OBJECTS}/{digest[:2]}/{digest}"
 
     def _put(self, path: Path, found: StoredObject) -> None:
+        """Write the content of a file as an object."""
         at = self._at(found[0])
 
         def write() -> None:

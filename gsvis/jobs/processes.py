@@ -76,6 +76,7 @@ class _Pool(ProcessPoolExecutor):
     """A pool whose processes ignore Ctrl-C from their start, because they inherit a signal mask."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Submit a call while Ctrl-C is blocked, so that new processes ignore it."""
         if not hasattr(signal, "pthread_sigmask"):
             return super().submit(fn, *args, **kwargs)
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -89,6 +90,7 @@ def _begin() -> None:
     """Initialize a worker process: use one thread, and exit when the parent exits."""
 
     def watch() -> None:
+        """Exit when the parent process exits."""
         parent = parent_process()
         assert parent is not None
         parent.join()  # waits on a pipe that only the parent holds; no polling

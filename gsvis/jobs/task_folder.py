@@ -1,7 +1,7 @@
-"""The folder of a running task: a killed attempt leaves it to the next one, and whoever ends removes it.
+"""The work folder of a task: if an attempt is killed, the next attempt resumes from it; the end of the task removes it.
 
-Its lock keeps a slow worker that was given up and its successor apart. Where the store is a folder, it lies there, and
-any worker finds it; else among temporary files.
+A lock prevents that a slow worker, which counts as lost, and its successor use the folder at the same time. The folder
+is in the store if that is a folder, so that any worker finds it, else among temporary files.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ def work_folder(store: ObjectStore, key: str) -> Iterator[Path]:
 
 
 def forget_work(store: ObjectStore, key: str) -> None:
-    """Remove the folder of a finished task, which a worker that was killed at its end has left in a shared folder."""
+    """Remove the folder of a finished task, which a worker leaves in the store if it is killed at the end."""
     if isinstance(store, FolderStore) and (store.folder / "work" / key).is_dir():
         shutil.rmtree(store.folder / "work" / key, ignore_errors=True)
 
 
 def _temporary() -> Path:
-    """Return the folder of this user among temporary files, without what nobody came back for in a day."""
+    """Return the folder of this user among temporary files; remove work folders that are unused for a day."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     root = private_folder(Path(tempfile.gettempdir()) / f"gsvis-work-{user}")
     for folder in list(root.iterdir()):

@@ -114,7 +114,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Blob:
-    """A file of another format, cut into parts.
+    """A file with a format of its own, cut into parts.
 
     Attributes:
         parts: The parts, in order.

@@ -90,6 +90,7 @@ def flip_difference(
         raise ValueError(f"percentile: expected a value in [0, 100], got {percentile!r}")
 
     def difference(epsilon: float) -> float:
+        """Return the largest percentile over the views."""
         maps = flip_map(pictures.images(epsilon), pictures.reference, pixels_per_degree)
         return float(np.percentile(maps, percentile, axis=(1, 2)).max())
 

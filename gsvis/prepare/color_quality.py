@@ -221,11 +221,13 @@ def _psnr(image: F32, target: F32) -> float:
 
 
 def _likeness(image: F32, target: F32, with_flip: bool) -> tuple[float, float, float | None]:
+    """Return PSNR, SSIM and, if wanted, FLIP of an image against a target."""
     alike = float(ssim(image, target, padding="same"))
     return _psnr(image, target), alike, float(flip(image, target)) if with_flip else None
 
 
 def _join(rows: Sequence[tuple[float, float, float | None]]) -> Likeness:
+    """Return the figures of all views as arrays."""
     psnrs, ssims, flips = zip(*rows, strict=True)
     return Likeness(np.array(psnrs), np.array(ssims), None if flips[0] is None else np.array(flips, np.float64))
 

@@ -155,5 +155,6 @@ class FittedColors:
 
 
 def _spread(values: Sequence[float] | F64) -> dict[str, float]:
+    """Return mean, least and largest value."""
     array = np.asarray(values, np.float64)
     return {"mean": float(array.mean()), "min": float(array.min()), "max": float(array.max())}

@@ -244,5 +244,6 @@ def _parts_of(folder: Path) -> set[str]:
 
 
 def _axis(space: NavigableSpace) -> tuple[float, float, float]:
+    """Return the up axis of a space as a tuple."""
     x, y, z = (float(v) for v in space.up)
     return x, y, z

@@ -395,6 +395,7 @@ def around_of(sets: str) -> str:
 
 
 def _content(levels: Levels) -> dict[str, Any]:
+    """Return what identifies levels: hashes of Gaussians and membership, and names."""
     member = hashlib.sha256(levels.first.tobytes() + levels.last.tobytes()).hexdigest()
     return {"scene": scene_hash(levels.union), "names": list(levels.names), "member": member}
 

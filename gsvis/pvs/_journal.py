@@ -131,15 +131,18 @@ def find_kept(work: KeptWork, viewpoints: int, cells: int, gaussians: int) -> tu
 
 
 def _pack_ids(ids: NDArray[np.int32]) -> bytes:
+    """Return ascending ids as differences, byte plane by byte plane."""
     deltas = np.diff(ids, prepend=np.int32(0)).astype("<i4")
     return bytes(deltas.view(np.uint8).reshape(-1, _ID).T.tobytes())
 
 
 def _pack_seen(ids: NDArray[np.int32], classes: U8) -> bytes:
+    """Return packed ids with their classes."""
     return _pack_ids(ids) + classes.tobytes()
 
 
 def _unpack_ids(body: U8, count: int, gaussians: int) -> NDArray[np.int32] | None:
+    """Return the ids that `_pack_ids` packed; None if they are invalid."""
     deltas = np.ascontiguousarray(body[: _ID * count].reshape(_ID, count).T).view("<i4")[:, 0]
     ids = np.cumsum(deltas, dtype=np.int64)
     if count and (ids[0] < 0 or ids[-1] >= gaussians or (deltas[1:] <= 0).any()):
@@ -148,15 +151,18 @@ def _unpack_ids(body: U8, count: int, gaussians: int) -> NDArray[np.int32] | Non
 
 
 def _unpack_seen(body: U8, count: int, gaussians: int) -> tuple[NDArray[np.int32], U8] | None:
+    """Return the ids and classes that `_pack_seen` packed; None if they are invalid."""
     ids = _unpack_ids(body, count, gaussians)
     return None if ids is None else (ids, body[_ID * count : _SEEN * count].copy())
 
 
 def _compress(body: bytes) -> bytes:
+    """Return bytes compressed with zstd."""
     return zstandard.ZstdCompressor(level=1).compress(body)
 
 
 def _expand(data: bytes, length: int) -> U8 | None:
+    """Return the decompressed bytes; None if they are damaged or do not have this length."""
     try:
         return np.frombuffer(decompress(data, length), np.uint8)
     except CodecError:

@@ -133,6 +133,7 @@ Task = ViewpointTask | CellTask
 
 
 def _map(folder: Path) -> dict[str, NDArray[Any]]:
+    """Return the memory-mapped arrays of a scene in a folder, by name."""
     kinds: dict[str, Any] = dict.fromkeys(_SHAPES, np.float32) | dict.fromkeys(_MEMBERSHIP, np.uint8)
     arrays = {name: np.asarray(np.memmap(folder / f"{name}.bin", kind, mode="r")) for name, kind in kinds.items()}
     return {name: array.reshape(_SHAPES.get(name, (-1,))) for name, array in arrays.items()}

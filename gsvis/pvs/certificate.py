@@ -216,6 +216,7 @@ class Certifier:
         aim = self.aim(voxels)
 
         def draw(count: int, rng: np.random.Generator) -> tuple[F64, F64] | None:
+            """Return random rays of a cell; None if it has no free point."""
             origins = self._origins(voxels, count, rng)
             return None if origins is None else (origins, aim.draw(count, rng))
 

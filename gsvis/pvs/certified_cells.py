@@ -71,6 +71,7 @@ class CertifiedCells:
 
     @property
     def _samples(self) -> tuple[F64, F64]:
+        """Return the missed weights and the weights of all rays of all certificates."""
         parts = [(each.missed_weights, each.weights) for each in self.certificates]
         return np.concatenate([missed for missed, _ in parts]), np.concatenate([weights for _, weights in parts])
 

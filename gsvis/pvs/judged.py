@@ -76,7 +76,7 @@ def judge_images(
     found: list[float] = []
     for cameras in (mine, judges.cameras):
         for c in range(len(cameras)):
-            found.append(_measure(g, grid, held, cameras[c]))
+            found.append(_psnr_of_cell(g, grid, held, cameras[c]))
             progress("judge", len(found), total)
     eyes = judges.cameras.viewpoints
     values = np.array(found)
@@ -84,7 +84,7 @@ def judge_images(
     return Judged(values[: len(mine)], values[len(mine) :], inside, judges.named, judges.given)
 
 
-def _measure(g: Gaussians, grid: CellGrid, held: Held, camera: Cameras) -> float:
+def _psnr_of_cell(g: Gaussians, grid: CellGrid, held: Held, camera: Cameras) -> float:
     """Return the PSNR of the image from the set of an eye's cell, or of the nearest cell, against the whole scene."""
     eye = camera.viewpoints[0]
     cell = int(grid.cell_at(eye[None])[0])

@@ -351,6 +351,7 @@ class Quality:
 
 
 def _figure(key: str, label: str, values: F64, worst_of: str, better: str, unit: str) -> Figure:
+    """Return a figure with mean, worst value and targets."""
     worst = float(values.max() if better == "lower" else values.min())
     return Figure(key, label, _mean(values), worst, worst_of, TARGETS.get(key, (None, None)), better, unit)
 

@@ -71,6 +71,7 @@ def camera_colors_torch(
     terms = colors
 
     def evaluate_for(c: int) -> Tensor:
+        """Return the colors for camera c."""
         found = evaluate_torch(terms, tensors.means, eyes[c]).to(tensors.means)
         return found if training or found.requires_grad else _finite(found)  # training checks only shapes
 

@@ -85,6 +85,7 @@ def find_judges(g: Gaussians, views: ViewSampling, witnesses: Witnesses | None =
     _, few = thin(g, _MOST, seed=views.seed)
 
     def look(cameras: Cameras) -> tuple[F32, F32]:
+        """Return alphas and depths of cameras."""
         drawn = rasterize(few, cameras, backend="cpu")
         return drawn.alphas, drawn.depths
 

@@ -44,7 +44,7 @@ def psnr_numpy(image: Any, target: Any, data_range: float) -> Values:
     a, b = check_stacks(image, target)
     error = np.square(a - b).mean(axis=(1, 2, 3))
     with np.errstate(divide="ignore"):
-        return _like(image, 10.0 * np.log10(check_white(data_range) ** 2 / error))
+        return _unstack(image, 10.0 * np.log10(check_white(data_range) ** 2 / error))
 
 
 def ssim_numpy(image: Any, target: Any, data_range: float, padding: str) -> Values:
@@ -62,17 +62,17 @@ def ssim_numpy(image: Any, target: Any, data_range: float, padding: str) -> Valu
         luminance = (2.0 * mx * my + c1) / (mx * mx + my * my + c1)
         structure = (2.0 * (mxy - mx * my) + c2) / ((mxx - mx * mx) + (myy - my * my) + c2)
         values[c] = (luminance * structure).mean()
-    return _like(image, values)
+    return _unstack(image, values)
 
 
 def flip_numpy(image: Any, target: Any, pixels_per_degree: float) -> Values:
     """Return the mean FLIP error: a float for one image, (C,) for a stack."""
-    return _like(image, flip_maps(*check_stacks(image, target), pixels_per_degree).mean(axis=(1, 2)))
+    return _unstack(image, flip_maps(*check_stacks(image, target), pixels_per_degree).mean(axis=(1, 2)))
 
 
 def flip_map_numpy(image: Any, target: Any, pixels_per_degree: float) -> Values:
     """Return the (H, W) or (C, H, W) FLIP error of each pixel."""
-    return _like(image, flip_maps(*check_stacks(image, target), pixels_per_degree))
+    return _unstack(image, flip_maps(*check_stacks(image, target), pixels_per_degree))
 
 
 def check_stacks(image: Any, target: Any) -> tuple[F64, F64]:
@@ -93,7 +93,7 @@ def _stack(name: str, value: Any) -> F64:
     return array if array.ndim == 4 else array[None]
 
 
-def _like(image: Any, values: F64) -> Values:
+def _unstack(image: Any, values: F64) -> Values:
     """Return (C, ...) values for a stack; for one image, its value alone."""
     values = values[0] if np.ndim(image) == 3 else values
     return values if np.ndim(values) else float(values)

@@ -36,7 +36,7 @@ def psnr_torch(image: Any, target: Any, data_range: float) -> Tensor:
     """Return PSNR in dB: a scalar for one image, (C,) for a stack."""
     a, b = _pair(image, target)
     error = (a - b).square().flatten(1).mean(dim=1)
-    return _like(image, 10.0 * torch.log10(check_white(data_range) ** 2 / error))
+    return _unstack(image, 10.0 * torch.log10(check_white(data_range) ** 2 / error))
 
 
 def ssim_torch(image: Any, target: Any, data_range: float, padding: str) -> Tensor:
@@ -52,14 +52,14 @@ def ssim_torch(image: Any, target: Any, data_range: float, padding: str) -> Tens
     mx, my, mxx, myy, mxy = means.chunk(5)
     luminance = (2.0 * mx * my + c1) / (mx * mx + my * my + c1)
     structure = (2.0 * (mxy - mx * my) + c2) / ((mxx - mx * mx) + (myy - my * my) + c2)
-    return _like(image, (luminance * structure).mean(dim=(1, 2)).reshape(count, 3).mean(dim=1))
+    return _unstack(image, (luminance * structure).mean(dim=(1, 2)).reshape(count, 3).mean(dim=1))
 
 
 def flip_map_torch(image: Any, target: Any, pixels_per_degree: float) -> Tensor:
     """Return the (H, W) or (C, H, W) FLIP error of each pixel, without gradient."""
     a, b = _pair(image, target)
     maps = flip_maps(_check.plain(a.detach()), _check.plain(b.detach()), pixels_per_degree)
-    return _like(image, torch.from_numpy(maps).to(a))
+    return _unstack(image, torch.from_numpy(maps).to(a))
 
 
 def lpips_torch(image: Any, target: Any, net: str) -> Tensor:
@@ -70,7 +70,7 @@ def lpips_torch(image: Any, target: Any, net: str) -> Tensor:
     x, y = (v.float().permute(0, 3, 1, 2) for v in (a, b))
     model = _lpips_model(net, _lpips_weights(net), x.device)
     distances = [model(i[None], j[None], normalize=True).reshape(1) for i, j in zip(x, y, strict=True)]
-    return _like(image, torch.cat([x.new_zeros(0), *distances]))
+    return _unstack(image, torch.cat([x.new_zeros(0), *distances]))
 
 
 def _pair(image: Any, target: Any) -> tuple[Tensor, Tensor]:
@@ -85,7 +85,7 @@ def _pair(image: Any, target: Any) -> tuple[Tensor, Tensor]:
     return a, b
 
 
-def _like(image: Any, values: Tensor) -> Tensor:
+def _unstack(image: Any, values: Tensor) -> Tensor:
     return values[0] if np.ndim(image) == 3 else values
 
 

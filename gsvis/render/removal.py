@@ -104,7 +104,7 @@ def removal_effects(
         features[:, 3] = there[projected.ids]
         residual = np.zeros(shape[1:], np.float32)
         if images is not None:
-            residual = _blend(view, projected, features, behind) - _target(images[c])
+            residual = _blend(view, projected, features, behind) - _as_target(images[c])
         pairs = np.empty((len(projected.members), 4), np.float32)
         _kernels_removal.remove_tiles(
             projected.splats,
@@ -137,7 +137,7 @@ def _blend(view: View, projected: Projected, features: F32, background: F32) -> 
     return blend(replace(projected, splats=splats), view, features, background)[0]
 
 
-def _target(image: NDArray[Any]) -> F32:
+def _as_target(image: NDArray[Any]) -> F32:
     """Return one target as (H, W, 3) float32, where 1 is white."""
     values = image / np.float32(255.0) if image.dtype == np.uint8 else image
     return np.asarray(_check.floats("images", values, image.shape), np.float32)

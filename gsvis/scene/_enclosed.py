@@ -77,7 +77,7 @@ class Enclosure:
         """Return the share of the sphere in which something is near each eye, and the points (S, 3) seen there."""
         if len(eyes) == 0:
             return np.zeros(0), []
-        cameras = _cube(eyes, self._axes)
+        cameras = _cube_cameras(eyes, self._axes)
         alphas, depths = self._look(cameras)
         center = (np.arange(_SIDE) + 0.5) / _SIDE * 2.0 - 1.0
         x, y = np.meshgrid(center, center)
@@ -101,7 +101,7 @@ class Enclosure:
         return float(np.isfinite(apart).mean())
 
 
-def _cube(eyes: F64, axes: F64) -> Cameras:
+def _cube_cameras(eyes: F64, axes: F64) -> Cameras:
     """Return six square cameras around each eye, along axes (3, 3)."""
     ahead = np.concatenate([axes, -axes])
     up = np.roll(axes, 1, axis=0)

@@ -104,7 +104,7 @@ def ray_lengths(space: Occupancy, starts: F64, directions: F64, lengths: F64) ->
 
 
 def stopped_share(space: Occupancy, eyes: F64, directions: F64) -> F64:
-    """Return (E,) the share of the directions (D, 3) in which each of the eyes (E, 3) sees something.
+    """Return the share (E,) of the directions (D, 3) in which each of the eyes (E, 3) sees something.
 
     Args:
         space: The grid.
@@ -161,7 +161,7 @@ def _spread_out(points: F64, count: int) -> F64:
 
 
 def shares_seen(space: Occupancy, eyes: F64, seen: Gaussians) -> F64:
-    """Return (E,) the share of the Gaussians on the grid that each eye sees; eyes (E, 3) are in voxels."""
+    """Return the share (E,) of the Gaussians on the grid that each eye sees; eyes (E, 3) are in voxels."""
     targets = _spread_out(space.voxels_of(seen.means), EYES)
     return np.asarray(_sees(space, eyes, targets).mean(axis=1)) if len(targets) else np.zeros(len(eyes))
 
@@ -174,7 +174,7 @@ def _seen_by_any(space: Occupancy, eyes: F64, targets: F64) -> float:
 
 
 def _sees(space: Occupancy, eyes: F64, targets: F64) -> Mask:
-    """Return (E, T) whether there is a free line from each of the eyes (E, 3) to each of the targets (T, 3)."""
+    """Return a mask (E, T): whether there is a free line from each of the eyes (E, 3) to each of the targets (T, 3)."""
     ways = targets[None] - eyes[:, None]
     lengths = np.maximum(np.linalg.norm(ways, axis=2), 1e-9)
     ways /= lengths[:, :, None]

@@ -170,7 +170,7 @@ def find_eyes(look: Look) -> Found:
     try:
         space = look.build(core.low, core.high)
     except SceneError as full:
-        return _solid(look, full)
+        return _eyes_around_solid(look, full)
     free, rule, _ = space.choose(up)
     large = free if free.mean() >= MIN_SHARE else np.zeros_like(free)
     evidence = gather(space, large, look.seen, up)
@@ -178,7 +178,7 @@ def find_eyes(look: Look) -> Found:
         kind = find_kind(evidence)
         if kind.sure:
             return space, free, rule, replace(kind, eyes="inside")
-        return _either(look, kind, space, free)
+        return _eyes_of_both_kinds(look, kind, space, free)
     if core.has_surroundings:
         return _amid_surroundings(look, with_surroundings(evidence, core.beyond))
     standing = above_ground(space, up, look.person)
@@ -198,7 +198,7 @@ def find_eyes(look: Look) -> Found:
         return space, standing, "free, ground below at the height of an eye", replace(kind, eyes=eyes)
     if kind.sure:  # an open place without ground to stand on
         kind = replace(kind, confidence=_WARY, other="object")
-    return _either(look, kind, space if walked else None, standing)
+    return _eyes_of_both_kinds(look, kind, space if walked else None, standing)
 
 
 def find_mixed(look: Look) -> Found:
@@ -267,7 +267,7 @@ def stand_around(build: Callable[..., Occupancy], around: Around, *, widest: flo
     return space, free
 
 
-def _either(look: Look, kind: SpaceKind, space: Occupancy | None, free: Mask | None) -> Found:
+def _eyes_of_both_kinds(look: Look, kind: SpaceKind, space: Occupancy | None, free: Mask | None) -> Found:
     """Return eyes around the detail of a scene and in it, because the kind of the scene is uncertain.
 
     Args:
@@ -305,16 +305,16 @@ def _amid_surroundings(look: Look, kind: SpaceKind) -> Found:
     try:
         space = look.build(low, high)
     except SceneError:
-        return _either(look, kind, None, None)
+        return _eyes_of_both_kinds(look, kind, None, None)
     free, rule, _ = space.choose(look.up)
     enclosed = free if free.mean() >= MIN_SHARE else np.zeros_like(free)
     within = np.all((look.seen.means >= low) & (look.seen.means <= high), axis=1)
     evidence = gather(space, enclosed, look.seen[within], look.up)
     if not is_rooms(evidence):
-        return _either(look, kind, None, None)
+        return _eyes_of_both_kinds(look, kind, None, None)
     kind = find_kind(evidence)
     if not kind.sure:
-        return _either(look, kind, space, free)
+        return _eyes_of_both_kinds(look, kind, space, free)
     return space, free, rule, replace(kind, eyes="inside")
 
 
@@ -362,7 +362,7 @@ def _build_lenient(look: Look, low: F64, high: F64) -> Occupancy:
         return look.build(low, high, max_alpha=_SOLID_ALPHA, clearance=0.0)
 
 
-def _solid(look: Look, full: SceneError) -> Found:
+def _eyes_around_solid(look: Look, full: SceneError) -> Found:
     """Return eyes around a scene whose box has no free voxel; raise `full`, the error of the box, if there are none."""
     around = Around(look.core.low, look.core.high, look.up if look.up_sure else None)
     try:

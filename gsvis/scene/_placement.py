@@ -141,7 +141,7 @@ class Floors:
         return cls(heights, places @ navigable.up - heights, navigable.voxel_size)
 
     def at_height(self, stand: float | None, scale: float) -> Mask | None:
-        """Return (M,) whether places are at eye height over the main floor; None if no eye height is required."""
+        """Return a mask (M,): whether places are at eye height over the main floor; None without a required height."""
         if stand is None:
             return None
         height = stand * scale

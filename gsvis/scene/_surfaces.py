@@ -109,7 +109,7 @@ class Sheet:
         return len(self._middles())
 
     def _middles(self) -> F64:
-        """Return (M, 2) the middles of the cells outside holes."""
+        """Return the middles (M, 2) of the cells outside holes."""
         u, v = (a + (np.arange(n) + 0.5) * s for a, n, s in zip(self.low, self.cells, self.steps, strict=True))
         flat = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
         for low, high in self.snapped:

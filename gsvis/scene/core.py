@@ -91,7 +91,7 @@ def find_core(g: Gaussians, coverage: float = 0.98) -> Core:
     if np.any(~members & ~flown):
         tail = 0.5 * (1.0 - coverage)
         box = np.quantile(places[members], [tail, 1.0 - tail], axis=0)
-    low, high = _thick(box, float(sizes.max()))
+    low, high = _thicken_box(box, float(sizes.max()))
     detail_low, detail_high, beyond = _detail(places[members], sizes[members], low, high)
     widest = _HAZE * float((detail_high - detail_low).max())
     if np.count_nonzero(sizes[members] > widest) > _MOST_HAZE * len(g):
@@ -121,7 +121,7 @@ def middle_scales(g: Gaussians) -> F64:
     return middle
 
 
-def _thick(box: F64, size: float) -> tuple[F64, F64]:
+def _thicken_box(box: F64, size: float) -> tuple[F64, F64]:
     """Return the corners of a box; the box of a single point gets the size of a Gaussian."""
     low, high = box
     if (high - low).max() > 0.0:

@@ -77,7 +77,7 @@ def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None =
 def space_along(
     g: Gaussians, positions: ArrayLike, margin: float, *, resolution: int = 160, up: ArrayLike | str | None = None
 ) -> NavigableSpace:
-    """Return the clear voxels along a walk, in a scene of any kind: eyes may be where somebody walked.
+    """Return the clear voxels along a walk, in a scene of any kind.
 
     `corridor` keeps a part of a space, which covers only one kind of place. This function finds rooms, streets and
     gardens along the same walk.

@@ -79,7 +79,7 @@ class Density:
         return cls(origin, size, depth)
 
     def voxels_of(self, points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return (P, 3) the voxels of points (P, 3), 0 off the grid, and (P,) whether they lie on the grid."""
+        """Return the voxels (P, 3) of points (P, 3), 0 off the grid, and (P,) whether they lie on the grid."""
         array = _check.floats("points", points, ("P", 3), np.float64)
         with np.errstate(over="ignore"):
             places = (array - self.origin) / self.voxel_size
@@ -87,7 +87,7 @@ class Density:
         return np.where(within[:, None], places, 0.0).astype(np.int64), within
 
     def look_up(self, grid: NDArray[np.bool_], points: ArrayLike) -> NDArray[np.bool_]:
-        """Return (P,) the values of a mask (X, Y, Z) at points (P, 3); False outside the grid."""
+        """Return the values (P,) of a mask (X, Y, Z) at points (P, 3); False outside the grid."""
         voxels, within = self.voxels_of(points)
         return np.asarray(within & grid[voxels[:, 0], voxels[:, 1], voxels[:, 2]])
 

@@ -66,7 +66,7 @@ class InSight:
         return cls(space, voxels, reaches, walls)
 
     def of(self, camera: Cameras) -> Mask:
-        """Return (N,) whether one camera may see each Gaussian."""
+        """Return a mask (N,): whether one camera may see each Gaussian."""
         seen = self.voxels < 0
         if seen.all():
             return seen

@@ -170,7 +170,7 @@ def _problems(r: SceneReport, g: Gaussians) -> Iterator[str]:
     longest = float((high - low).max())
     if r.floaters:
         yield (
-            f"{_some(r.floaters)} outside {FLOATER_EXTENT:g} times the scene, the farthest {r.farthest:,.0f}"
+            f"{_count_with_verb(r.floaters)} outside {FLOATER_EXTENT:g} times the scene, the farthest {r.farthest:,.0f}"
             " scene sizes away; gsvis clean removes them"
         )
     if r.invisible_share > 0.1:
@@ -181,7 +181,7 @@ def _problems(r: SceneReport, g: Gaussians) -> Iterator[str]:
     if r.needle_share > 0.4:
         yield f"{r.needle_share:.0%} of the Gaussians are needles, more than 10 times as long as wide"
     if r.duplicates:
-        yield f"{_some(r.duplicates, 'repeat', 'repeats')} an earlier one exactly"
+        yield f"{_count_with_verb(r.duplicates, 'repeat', 'repeats')} an earlier one exactly"
     if longest == 0.0:
         yield "all robust centers coincide"
     elif longest > 1000.0 or longest < 0.1:
@@ -213,6 +213,6 @@ def _value_problems(r: SceneReport, g: Gaussians, longest: float) -> Iterator[st
         yield f"the SH degree is {g.sh_degree}, but all its coefficients are zero"
 
 
-def _some(count: int, many: str = "lie", one: str = "lies") -> str:
+def _count_with_verb(count: int, many: str = "lie", one: str = "lies") -> str:
     """Return a number of Gaussians with a verb in singular or plural."""
     return f"1 Gaussian {one}" if count == 1 else f"{count:,} Gaussians {many}"

@@ -89,14 +89,14 @@ class Judged:
         """A warning if quality at judge's eyes is too low; None if it is not."""
         if len(self.judge) == 0 or len(self.builder) == 0:
             return None
-        named, theirs = min(self._groups(), key=lambda group: group[1])
+        named, theirs = min(self._group_medians(), key=lambda group: group[1])
         mine = float(np.median(self.builder))
         low = min(mine, theirs)
         if low >= self.least and not (abs(mine - theirs) > APART and low < GOOD):
             return None
         return (
             f"Warning: median quality is {theirs:.1f} dB at {named}, and {mine:.1f} dB at the eyes it was made for"
-            f"{self._where('of the judging eyes lie in cells')}: {_ADVICE}."
+            f"{self._spell_share_in_cells('of the judging eyes lie in cells')}: {_ADVICE}."
         )
 
     @property
@@ -109,7 +109,7 @@ class Judged:
         also = f", {self.given} of them of {self.named}" if self.given else ""
         return (
             f"{np.median(self.judge):.1f} dB in the median, 5th percentile {low:.1f}, worst {least:.1f},"
-            f" in {len(self.judge)} views{also}{self._where('of the eyes in cells')}"
+            f" in {len(self.judge)} views{also}{self._spell_share_in_cells('of the eyes in cells')}"
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -127,12 +127,12 @@ class Judged:
             "psnr": {"builder": _rounded(self.builder), "judge": _rounded(self.judge)},
         }
 
-    def _where(self, text: str) -> str:
+    def _spell_share_in_cells(self, text: str) -> str:
         """Return the share of eyes in cells as text; empty without it."""
         share = self.share_in_cells
         return "" if share is None else f"; {share:.0%} {text}"
 
-    def _groups(self) -> list[tuple[str, float]]:
+    def _group_medians(self) -> list[tuple[str, float]]:
         """Return name and median of each group of judge's eyes."""
         drawn, given = np.split(self.judge, [len(self.judge) - self.given])
         named = (("eyes around the detail of the scene", drawn), (f"eyes of {self.named}", given))

@@ -177,7 +177,7 @@ def _step_back(few: Gaussians, eyes: F64, aims: F64, radius: float, rng: np.rand
 
 
 def _pass(few: Gaussians, aims: F64, back: F64, steps: F64) -> F64:
-    """Return (P, S) the share of light that passes from near each target to each step (P, S) back along a direction."""
+    """Return the share (P, S) of light that passes from near each target to each step (P, S) back along a direction."""
     turn = np.swapaxes(few.rotations(), 1, 2) / np.maximum(few.scales.astype(np.float64), 1e-300)[:, :, None]
     means = np.einsum("gij,gj->gi", turn, few.means.astype(np.float64))
     found = np.empty(steps.shape)

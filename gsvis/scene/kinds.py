@@ -24,7 +24,7 @@ SURROUNDED = 0.4  # least share of level directions that are stopped in an open 
 WALKABLE = 0.05  # least footprint with ground that an eye can be above
 CLOSED = 0.85  # least share of directions above that are stopped in what can be nothing but rooms
 HEMMED = 0.5  # least share of level directions that are stopped in what can be nothing but an open place
-TALL = 1.0  # least height in sides of what nobody stands in
+TALL = 1.0  # least height, in sides, of a thing that has no room for an eye
 TALLER = 2.0  # height in sides from which that is certain, unless more is seen from within
 MORE = 0.15  # how much more of such a thing is seen from outside, at least
 # confidences

@@ -87,7 +87,7 @@ class Levels:
         return f"Levels({sizes} of {len(self.union):,}" + (f"; reuse {reuse})" if reuse else ")")
 
     def member(self, level: int) -> NDArray[np.bool_]:
-        """Return (N,) whether each Gaussian of the union belongs to a level."""
+        """Return a mask (N,): whether each Gaussian of the union belongs to a level."""
         if not 0 <= level < len(self.names):
             raise ValueError(f"level: expected 0 to {len(self.names) - 1}, got {level!r}")
         return np.asarray((self.first <= level) & (level <= self.last))

@@ -57,7 +57,7 @@ class HeadPath:
         arrays: dict[str, F64 | None] = {
             "times": times,
             "positions": positions,
-            "quats": _continuous(quats),
+            "quats": _align_signs(quats),
             "up": None if self.up is None else _check.unit_vectors("up", np.reshape(self.up, (1, -1)))[0],
         }
         for name, array in arrays.items():
@@ -215,7 +215,7 @@ def _check_rising(name: str, times: F64) -> None:
         )
 
 
-def _continuous(quats: F64) -> F64:
+def _align_signs(quats: F64) -> F64:
     """Return unit quaternions, each with the sign nearest to the previous one; the first has w >= 0."""
     quats = quats / np.maximum(np.abs(quats).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
     norms = np.linalg.norm(quats, axis=1)

@@ -21,7 +21,7 @@ __all__ = ["Similarity", "upright_matrix"]
 F64 = NDArray[np.float64]
 
 
-def _still() -> F64:
+def _identity_quaternion() -> F64:
     """Return the quaternion of no rotation."""
     return np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -44,7 +44,7 @@ class Similarity:
     """
 
     scale: float = 1.0
-    quat: F64 = field(default_factory=_still)
+    quat: F64 = field(default_factory=_identity_quaternion)
     translation: F64 = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:

@@ -98,14 +98,14 @@ def doubt_up(g: Gaussians, up: ArrayLike, *, cameras: Cameras | None = None) -> 
     axis = _check.unit_vectors("up", np.reshape(np.asarray(up, np.float64), (1, -1)))[0]
     level = level_cameras(cameras) if cameras is not None else None
     if level is not None and level.confidence >= SURE and tilt_of(axis, level.up) > _CONTRADICTION:
-        return _disagree(axis, level.up, "the cameras are")
+        return _describe_contradiction(axis, level.up, "the cameras are")
     likely = _find_once(g)
     if likely is None or likely.geometry < SURE or tilt_of(axis, likely.up) <= _CONTRADICTION:
         return ""
-    return _disagree(axis, likely.up, "ground and walls are" if likely.ground else "the object is")
+    return _describe_contradiction(axis, likely.up, "ground and walls are" if likely.ground else "the object is")
 
 
-def _disagree(axis: F64, other: F64, witness: str) -> str:
+def _describe_contradiction(axis: F64, other: F64, witness: str) -> str:
     """Return the line that says how evidence contradicts an axis."""
     angle = tilt_of(axis, other)
     how = "upside down" if angle > 140.0 else f"{angle:.0f} degrees off"

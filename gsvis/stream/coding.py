@@ -372,7 +372,7 @@ def layout_of(grids: Grids, steps: Steps | None) -> records.Layout:
 
 @cache
 def _differences(signed: bool) -> NDArray[np.int32]:
-    """Return (256,) the table for the third component of a color, by the value of the second, signed or not."""
+    """Return the table (256,) for the third component of a color, by the value of the second, signed or not."""
     values = np.arange(256)
     near = np.clip(((values + 128) % 256 - 128) >> 2, -8, 8) + 8
     return (near if signed else values >> 4).astype(np.int32)

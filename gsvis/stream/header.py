@@ -150,7 +150,7 @@ class SceneHeader:
         """Return the content of a WELCOME.
 
         Raises:
-            ProtocolError: If the message is not a WELCOME, is of another version, or contradicts itself.
+            ProtocolError: If the message is not a WELCOME, has an unsupported version, or contradicts itself.
         """
         if len(data) < HEAD.size or len(data) > _MOST_BYTES or data[0] != WELCOME:
             kind = f" of kind {data[0]}" if data else ""

@@ -104,7 +104,7 @@ class Session:
 
     @classmethod
     def from_hello(cls, scene: StreamedScene, hello: Hello, config: AbrConfig | None = None) -> Session:
-        """Return the session for a HELLO; ignore holdings of another scene.
+        """Return the session for a HELLO; ignore holdings with the identity of a different scene.
 
         Raises:
             ValueError: If the client claims holdings that the scene cannot have.

@@ -232,7 +232,7 @@ def parse_client(data: bytes, *, most_hello: int = MOST_HELLO) -> Hello | PoseAt
 
     Raises:
         ProtocolError: If the data are not one complete message with valid values. The code is `FAULTS["version"]` for a
-            HELLO of another version, and `FAULTS["too-large"]` for a HELLO over the limit.
+            HELLO of an unsupported version, and `FAULTS["too-large"]` for a HELLO over the limit.
     """
     kind = data[0] if data else 0
     if kind == HELLO:

@@ -193,7 +193,7 @@ class _State:
             self.sums[near] += removal_effects(self._left[near], camera, presence=chances[near]).squared
 
     def _worth(self) -> F64:
-        """Return (K,) the worth of each: between its mean loss over all cameras and over those that see it."""
+        """Return the worth (K,) of each: between its mean loss over all cameras and over those that see it."""
         return np.asarray(self.seen[self.kept] ** -_FAIRNESS * self.sums)
 
     def cut(self, count: int) -> NDArray[np.int64]:
@@ -240,7 +240,7 @@ def _logistic(octaves: F64) -> F64:
 
 
 def _seen(n: int, cameras: Cameras, sight: InSight | None) -> F64:
-    """Return (N,) the share of the cameras with each Gaussian in sight, in rooms; 1 elsewhere."""
+    """Return the share (N,) of the cameras with each Gaussian in sight, in rooms; 1 elsewhere."""
     if sight is None or sight.space.kind.kind != "rooms":
         return np.ones(n)
     tried = range(min(_POLLED, len(cameras)))

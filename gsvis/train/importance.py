@@ -76,6 +76,7 @@ def importance(
     pixels = max(len(cameras), 1) * cameras.width * cameras.height
 
     def report(stage: str, done: int, total: int) -> None:
+        """Report the progress of a round as part of all rounds."""
         progress("importance", done, total)
 
     if method == "weight":
@@ -195,6 +196,7 @@ def prune(
     for number, (turn, size) in enumerate(list(zip(turns, schedule, strict=True))[done:], done):
 
         def report(stage: str, done: int, of: int, before: int = before) -> None:
+            """Report the progress of a round as part of all rounds."""
             if done:
                 progress("prune", before + done, total)
 

@@ -129,7 +129,7 @@ def _box_of(cameras: Cameras) -> tuple[F64, F64]:
 
 
 def _is_seen(cameras: Cameras, points: F64) -> NDArray[np.bool_]:
-    """Return (N,) whether each point is inside the image of at least one camera."""
+    """Return a mask (N,): whether each point is inside the image of at least one camera."""
     seen = np.zeros(len(points), bool)
     for pose, k in zip(cameras.viewmats, cameras.Ks, strict=True):
         rest = np.flatnonzero(~seen)

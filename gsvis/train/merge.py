@@ -58,7 +58,7 @@ def merge_gaussians(g: Gaussians, count: int) -> Gaussians:
 
 
 def _cells_for(g: Gaussians, count: int) -> I64:
-    """Return (N,) the voxel of each Gaussian, with at least `count` voxels and as few more as bisection finds."""
+    """Return the voxel (N,) of each Gaussian, with at least `count` voxels and as few more as bisection finds."""
     if not 1 <= count <= len(g):
         raise ValueError(f"count: expected 1 to {len(g)}, got {count}")
     means = g.means.astype(np.float64)
@@ -84,7 +84,7 @@ def _cells_for(g: Gaussians, count: int) -> I64:
 
 
 def occupied_voxels(points: F64, side: float) -> I64:
-    """Return (N,) the index of the occupied voxel of each of the (N, 3) points, for cubes of a side."""
+    """Return the index (N,) of the occupied voxel of each of the (N, 3) points, for cubes of a side."""
     steps = np.clip(np.floor(points / side), -_SIDE, _SIDE - 1).astype(np.int64) + _SIDE
     keys = (steps[:, 0] << 42) | (steps[:, 1] << 21) | steps[:, 2]
     return np.asarray(np.unique(keys, return_inverse=True)[1], np.int64).reshape(-1)

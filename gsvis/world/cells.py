@@ -209,6 +209,7 @@ class WorldCells:
 
     @cached_property
     def _near(self) -> dict[int, set[int]]:
+        """Tiles near each cell, as far as they were computed."""
         return {}
 
     @cached_property
@@ -278,10 +279,11 @@ class WorldSets(CellSets):
 
     @cached_property
     def _n(self) -> int:
+        """Number of ids of the world."""
         return int(self._bases[-1])
 
     def tiles_near(self, cell: int) -> dict[int, tuple[float, float]]:
-        """Return the tiles around a cell, and the share of all ids that each has, from one number to another."""
+        """Return the tiles around a cell; for each, where its ids begin and end, as shares of all ids in [0, 1]."""
         found = {}
         for tile in self._cells.tiles_near(cell):
             low, high = self._bases[tile : tile + 2].tolist()
@@ -322,6 +324,7 @@ class WorldSets(CellSets):
         low, high = self._bases[tile : tile + 2].tolist()
 
         def read(stores: _Tile) -> list[_Masks]:
+            """Read the sets of the cell from the stores of its tile."""
             return [stores.own.visible_masks(place, first=low), *self._beyond(stores, place)]
 
         found = self._unless_damaged(tile, read)
@@ -353,6 +356,7 @@ class WorldSets(CellSets):
         return stores.own, gaussian - int(self._bases[node]), int(cells[0])
 
     def _seen(self, cell: int) -> _Seen:
+        """Return what a cell sees: ids, classes and highest levels; cache it."""
         found: _Seen | None = self._cache.find(("seen", cell))
         if found is None:
             found = self._read(cell)
@@ -365,6 +369,7 @@ class WorldSets(CellSets):
         place = int(self._cells.places[cell])
 
         def read(stores: _Tile) -> list[tuple[int, I64, NDArray[np.uint8], int]]:
+            """Read the sets of the cell from the stores of its tile."""
             beyond = [] if stores.beyond is None else stores.beyond.of_cell(place)
             beyond = [seen for seen in beyond if self._has_ids(seen.node)]
             own = tile, *stores.own.classes(place), self._top
@@ -388,6 +393,7 @@ class WorldSets(CellSets):
         return ids[order], classes[order], highest[order]
 
     def _join_rings(self, tile: int, rings: list[list[int]], stores: _Tile) -> list[list[_Masks]]:
+        """Return the sets of rings of cells of one tile, from its open stores."""
         places = [[int(self._cells.places[cell]) for cell in ring] for ring in rings]
         own = stores.own.ring_masks(places, first=int(self._bases[tile]))
         beyond = [[each for place in ring for each in self._beyond(stores, place)] for ring in places]
@@ -399,6 +405,7 @@ class WorldSets(CellSets):
         return [pack_some(np.sort(self._bases[node] + ids)) for node, ids in found if self._has_ids(node)]
 
     def _has_ids(self, node: int) -> bool:
+        """Return whether a node has ids."""
         return bool(self._bases[node + 1] > self._bases[node])
 
     def _level_of(self, seen: SeenNode) -> int:
@@ -417,6 +424,7 @@ class WorldSets(CellSets):
             return None
 
     def _open(self, tile: int) -> _Tile:
+        """Open the stores of a tile."""
         parts = self._world.package_path(tile) / PARTS
         low, high = self._bases[tile : tile + 2].tolist()
         order = None if self._orders is None or not low < high else self._orders[low:high]
@@ -430,6 +438,7 @@ class WorldSets(CellSets):
 
 
 def _first(part: tuple[Any, ...]) -> Any:
+    """Return the node of a part."""
     return part[0]
 
 

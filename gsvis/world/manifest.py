@@ -131,7 +131,7 @@ class Tile:
         nbytes: Bytes of the package.
         levels: Names and sizes of the levels, lowest first.
         gaussians: Gaussians of all levels together.
-        cells: Cells of its visible sets; 0 if nobody can be there.
+        cells: Cells of its visible sets; 0 without space for eyes.
         beyond: What its cells see beyond it; None if there is nothing.
         shape: Its squares along each of the two axes.
     """

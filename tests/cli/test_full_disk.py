@@ -98,7 +98,7 @@ def test_a_disk_that_takes_no_more_costs_nothing(
     [
         (errno.ENOSPC, "make room"),
         (errno.EDQUOT, "make room"),
-        (errno.EROFS, "another place"),
+        (errno.EROFS, "another folder"),
         (errno.EACCES, "rights"),
         (errno.EIO, "check the disk"),
     ],

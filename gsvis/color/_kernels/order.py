@@ -29,7 +29,7 @@ def _shown_error(space, summed, factors, count, colors, weights, shown):
 
 
 @inner
-def _add(directions, count, v, amplitude, summed, out):
+def _add_lobe(directions, count, v, amplitude, summed, out):
     """Add a lobe, times its amplitude, to the summed colors along the directions."""
     decay = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     for d in range(count):
@@ -75,7 +75,7 @@ def _order_one(g, space, directions, colors, weights, base, scales, v, amplitude
         chosen = -1
         for f in range(functions):
             if heads[f] < counts[f, g]:
-                _add(seen, count, v[f, g, heads[f]], amplitudes[f, g, heads[f]], summed, trial)
+                _add_lobe(seen, count, v[f, g, heads[f]], amplitudes[f, g, heads[f]], summed, trial)
                 found = _shown_error(space, trial, factors, count, target, heavy, shown)
                 if found < best:
                     best = found
@@ -85,7 +85,7 @@ def _order_one(g, space, directions, colors, weights, base, scales, v, amplitude
         k = heads[chosen]
         heads[chosen] += 1
         if best <= error:
-            _add(seen, count, v[chosen, g, k], amplitudes[chosen, g, k], summed, summed)
+            _add_lobe(seen, count, v[chosen, g, k], amplitudes[chosen, g, k], summed, summed)
             error = best
             order[g, number] = chosen * most + k
             number += 1
@@ -137,7 +137,7 @@ def _errors_of_one(g, space, directions, colors, weights, base, scales, v, ampli
     for j in range(kept[g]):
         f = order[g, j] // most
         k = order[g, j] % most
-        _add(seen, count, v[f, g, k], amplitudes[f, g, k], summed, summed)
+        _add_lobe(seen, count, v[f, g, k], amplitudes[f, g, k], summed, summed)
     after[g] = _shown_error(space, summed, factors, count, target, heavy, shown) / total
 
 

@@ -32,6 +32,7 @@ def _hsl_channel(shift, hue, chroma, lightness):
 
 @inner(error_model="numpy")
 def _hsv_channel(shift, hue, chroma, value):
+    """Return a channel of RGB from HSV; shift 5, 3, 1 plus 6 times the hue for red, green, blue."""
     k = shift + hue
     k -= _6 * np.floor(k / _6)
     return value - chroma * max(_0, min(k, _4 - k, _1))

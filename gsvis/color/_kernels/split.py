@@ -33,7 +33,7 @@ def _hue_chroma(r, g, b):
 
 
 @inner
-def _pure(hue, shift):
+def _saturated_channel(hue, shift):
     """Return a component of the fully saturated color of a hue; shift 5, 3, 1 for red, green, blue."""
     k = (shift + 6.0 * hue) % 6.0
     return 1.0 - max(0.0, min(k, 4.0 - k, 1.0))
@@ -103,7 +103,11 @@ def split_hsl(begin, end, colors, weights, scales, base, saturation, by_saturati
         turn = np.arctan2(north, east) / (2.0 * np.pi)
         turn -= np.floor(turn)
         base[g, 0] = turn
-        offsets = (_pure(turn, 5.0) - 0.5, _pure(turn, 3.0) - 0.5, _pure(turn, 1.0) - 0.5)
+        offsets = (
+            _saturated_channel(turn, 5.0) - 0.5,
+            _saturated_channel(turn, 3.0) - 0.5,
+            _saturated_channel(turn, 1.0) - 0.5,
+        )
         squares = offsets[0] ** 2 + offsets[1] ** 2 + offsets[2] ** 2
         sums = np.zeros(4)
         for d in range(weights.shape[1]):
@@ -165,7 +169,11 @@ def hold_saturation(begin, end, colors, weights, scales, base, lightness, by_lig
     for g in range(begin, end):
         turn = base[g, 0]
         scale = scales[g]
-        offsets = (_pure(turn, 5.0) - 0.5, _pure(turn, 3.0) - 0.5, _pure(turn, 1.0) - 0.5)
+        offsets = (
+            _saturated_channel(turn, 5.0) - 0.5,
+            _saturated_channel(turn, 3.0) - 0.5,
+            _saturated_channel(turn, 1.0) - 0.5,
+        )
         total = 0.0
         mean = 0.0
         for d in range(weights.shape[1]):
@@ -218,9 +226,9 @@ def split_hsv(begin, end, colors, weights, scales, base, value, by_value):
         base[g, 0] = turn
         base[g, 1] = color / all_color if all_color > 0.0 else 0.0
         tint = (
-            1.0 - base[g, 1] * (1.0 - _pure(turn, 5.0)),
-            1.0 - base[g, 1] * (1.0 - _pure(turn, 3.0)),
-            1.0 - base[g, 1] * (1.0 - _pure(turn, 1.0)),
+            1.0 - base[g, 1] * (1.0 - _saturated_channel(turn, 5.0)),
+            1.0 - base[g, 1] * (1.0 - _saturated_channel(turn, 3.0)),
+            1.0 - base[g, 1] * (1.0 - _saturated_channel(turn, 1.0)),
         )
         change = tint[0] ** 2 + tint[1] ** 2 + tint[2] ** 2
         total = 0.0

@@ -32,7 +32,7 @@ _UPPER = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # entries of a covariance 
 
 
 @inner
-def _columns(first, last):
+def _column_mask(first, last):
     """Return a mask with the bits first..last set."""
     return (_ALL >> np.uint64(63 - (last - first))) << np.uint64(first)
 
@@ -43,7 +43,7 @@ def _any_lit(lit, x0, x1, y0, y1):
     found = _NONE
     for y in range(y0, y1 + 1):
         found |= lit[y]
-    return found & _columns(x0, x1) != _NONE
+    return found & _column_mask(x0, x1) != _NONE
 
 
 @njit(cache=True)
@@ -228,7 +228,7 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square,
 def _open(square, lit, extent):
     """Give light to the pixels of a square, and none to those around it; return their number."""
     for y in range(SQUARE):
-        lit[y] = _columns(np.int64(0), extent[0] - 1) if y < extent[1] else _NONE
+        lit[y] = _column_mask(np.int64(0), extent[0] - 1) if y < extent[1] else _NONE
         for x in range(STRIDE):
             square[0, y, x] = _ONE if x < extent[0] and y < extent[1] else np.float32(0.0)
             square[1, y, x] = np.inf

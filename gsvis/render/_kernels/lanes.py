@@ -282,6 +282,7 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
         rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(10)]
 
         def add(k: int, value: Vector, factor: Vector | None = None) -> None:
+            """Add a vector, times a factor if given, to sum k."""
             held = Vector(lanes, builder.load(rooms[k]))
             builder.store((held + value if factor is None else value.times_plus(factor, held)).value, rooms[k])
 

@@ -224,6 +224,8 @@ def move(charts: Iterable[Chart], to: Triple, yaw: float = 0.0) -> list[Chart]:
 
 
 def _moved(place: Place, turn: F64, shift: F64) -> Place:
+    """Return a parametrization, rotated and shifted."""
+
     def transformed(u: F64, v: F64) -> F64:
         """Return the points, rotated and shifted."""
         return np.asarray(place(u, v) @ turn.T + shift)

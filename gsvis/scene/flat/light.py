@@ -85,7 +85,7 @@ class Grids:
         return np.where(charts >= 0, self.starts[chosen] + row * columns + column, 0)
 
     def reshape(self, i: int, values: F64) -> F64:
-        """Return (rows, columns, 3) the values of one chart, out of the values of all."""
+        """Return the values (rows, columns, 3) of one chart, out of the values of all."""
         rows = int(self.rows[i])
         columns = int(self.columns[i])
         start = int(self.starts[i])
@@ -201,7 +201,7 @@ def resized(values: F64, rows: int, columns: int) -> F64:
 
 
 def _in_the_sun(rays: Rays, points: F64, normals: F64, to_sun: F64) -> NDArray[np.bool_]:
-    """Return (n,) whether points face the sun and see it."""
+    """Return a mask (n,): whether points face the sun and see it."""
     lit = normals @ to_sun > 0.0
     lit[lit] = ~rays.blocked(points[lit], points[lit] + 40.0 * to_sun)
     return np.asarray(lit, bool)

@@ -180,7 +180,7 @@ def cut(canvases: Sequence[Canvas], count: int, rng: np.random.Generator) -> Pie
 
 
 def _best_cuts(tables: _Tables, charts: I64, boxes: I64, rng: np.random.Generator) -> tuple[F64, I64]:
-    """Return (n,) the worth of the best cut of each box, and (n, 2) its axis and its place; -1 for no cut."""
+    """Return the worth (n,) of the best cut of each box, and (n, 2) its axis and its place; -1 for no cut."""
     found = tables.corners(charts, boxes)
     whole = found.whole
     best = np.full(len(boxes), -1.0)

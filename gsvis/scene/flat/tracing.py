@@ -50,13 +50,13 @@ class Rays:
         self._places: F64 = np.concatenate(places)
 
     def blocked(self, starts: F64, ends: F64) -> Mask:
-        """Return (n,) whether a surface lies between (n, 3) starts and (n, 3) ends."""
+        """Return a mask (n,): whether a surface lies between (n, 3) starts and (n, 3) ends."""
         way = (ends - starts).astype(np.float32)
         reach = np.full(len(way), 0.999, np.float32)
         return np.asarray(self._scene.run(starts.astype(np.float32), way, dists=reach, query="OCCLUDED") >= 0)
 
     def hits(self, starts: F64, directions: F64) -> tuple[I64, F64]:
-        """Return (n,) the chart that each ray meets first, -1 for none, and (n, 2) the place on it."""
+        """Return the chart (n,) that each ray meets first, -1 for none, and (n, 2) the place on it."""
         found = self._scene.run(starts.astype(np.float32), directions.astype(np.float32), output=1)
         triangle = np.asarray(found["primID"], np.int64)
         met = triangle >= 0
