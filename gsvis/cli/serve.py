@@ -67,6 +67,7 @@ def _serve(command: Serve, child: Child | None) -> None:
     """Serve in this process; `child` if another one started it."""
     from gsvis.abr.config import AbrConfig
     from gsvis.serve import Address, AppConfig, Limits, Server, open_scenes
+    from gsvis.serve.hang import HUNG_S
     from gsvis.serve.siblings import Siblings
     from gsvis.stream import Quality
 
@@ -111,7 +112,7 @@ def _serve(command: Serve, child: Child | None) -> None:
         elif command.output.json:
             _print_address(server.url, command)
         with _start_spared_by_gc(), suppress(KeyboardInterrupt):  # how a server ends
-            server.run()
+            server.run(hung_s=HUNG_S if child is None else None)  # a child has a supervisor for that
 
 
 def _supervise(command: Serve) -> None:

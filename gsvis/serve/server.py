@@ -8,9 +8,9 @@ import logging
 import socket
 import ssl
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any
@@ -27,6 +27,7 @@ from gsvis.serve._log import EventLog
 from gsvis.serve._protocols import Plain, Socket
 from gsvis.serve.app import AppConfig, build_app
 from gsvis.serve.clock import Clock
+from gsvis.serve.hang import HangWatch
 from gsvis.serve.limits import Pace, RateBucket
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.precedence import Precedence, run
@@ -151,29 +152,37 @@ class Server:
         """Return the address of the viewer's page of a scene, for a browser on this machine."""
         return page_of(self.url, name)
 
-    def run(self) -> None:
-        """Serve until SIGINT or SIGTERM, which it raises again at the end, or until `stop`."""
+    def run(self, *, hung_s: float | None = None) -> None:
+        """Serve until SIGINT or SIGTERM, which it raises again at the end, or until `stop`.
+
+        Args:
+            hung_s: Seconds for which the event loop may stand still; then the whole process ends with status 1 and the
+                stack in the log, for a program that starts it again. None never ends it.
+        """
         page = self.page(next(iter(self._scenes)))
         self._log("listening", url=self.url, page=page, token="needed" if self.config.token else "none")
         if self.config.token is None and not _is_loopback(self._socket.getsockname()[0]):
             self._log("open", logging.WARNING, why="everybody who reaches this address can stream: no token is set")
         try:
-            run(self._serve(), self._precedence)
+            run(self._serve(hung_s), self._precedence)
         finally:
             self._socket.close()
             if self._threads is not None:
                 self._threads.shutdown(wait=False, cancel_futures=True)
             self._log("stopped", clients=int(self.metrics.clients.value()))
 
-    async def _serve(self) -> None:
-        tasks = [asyncio.create_task(each) for each in (self._watch_lateness(), self._look_after(), self._beat())]
+    async def _serve(self, hung_s: float | None) -> None:
         asyncio.get_running_loop().set_exception_handler(self._note)
-        try:
-            with _few_lines(self.clock):
-                await self._server.serve()
-        finally:
-            for task in tasks:
-                task.cancel()
+        with nullcontext() if hung_s is None else HangWatch(self._log, hung_s) as watch:
+            beats = [each.beat for each in (self._siblings, watch) if each is not None]
+            beside = (self._watch_lateness(), self._look_after(), self._beat(beats))
+            tasks = [asyncio.create_task(each) for each in beside]
+            try:
+                with _few_lines(self.clock):
+                    await self._server.serve()
+            finally:
+                for task in tasks:
+                    task.cancel()
 
     async def _look_after(self) -> None:
         for look in itertools.count():
@@ -184,10 +193,11 @@ class Server:
             await asyncio.sleep(LOOK_S)
             self._upkeep.look()
 
-    async def _beat(self) -> None:
-        """Show the supervisor of several processes that this event loop turns."""
-        while self._siblings is not None:
-            self._siblings.beat()
+    async def _beat(self, beats: Sequence[Callable[[], object]]) -> None:
+        """Show those who watch this event loop that it turns."""
+        while beats:
+            for beat in beats:
+                beat()
             await asyncio.sleep(_BEAT_S)
 
     def _note(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
