@@ -10,14 +10,12 @@ and no message: time and rate are arguments.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.abr._kernels import plan as kernels
-from gsvis.abr._kernels.take import take
 from gsvis.abr._kernels.units import EDGE, INSIDE, OUTSIDE
 from gsvis.abr.batches import Batch
 from gsvis.abr.candidate_sets import Candidates
@@ -25,6 +23,7 @@ from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.client_cells import ClientCells
 from gsvis.abr.config import AbrConfig
+from gsvis.abr.cursor import Cursor, Outlook, Stage
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.memory import ClientMemory
 from gsvis.abr.outside import distance_step
@@ -32,6 +31,7 @@ from gsvis.abr.policies import edge_offset, regime_of
 from gsvis.abr.predict import Pose, PosePredictor, predictor
 from gsvis.abr.ranking import Ranking
 from gsvis.abr.replacements import Replacements
+from gsvis.abr.taking import Taking
 from gsvis.abr.viewer import Viewer
 
 __all__ = ["Planner"]
@@ -40,47 +40,7 @@ F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 
 _REACH = 0.4  # seconds of data to rank at a time: most views last no longer
-# The stages of a view, in order.
-_NEEDS = 0  # its Gaussians, and terms that change the image much
-_DETAILS = 1  # terms that change the image less
-_AROUND = 2  # terms of Gaussians out of view
-_SHELLS = 3  # shell 0; stage 3 + k is shell k
 _NO_PLANES = np.zeros((0, 5, 4), np.float32)
-
-
-class Cursor(NamedTuple):
-    """Where a planner is in the order of a view.
-
-    Attributes:
-        regime: Bandwidth regime of the view.
-        stage: One of the stages above.
-        here: The candidates that are ranked.
-        cell: The same candidates for the kernels, with what the client lacks.
-        view: What the client looks at; without frusta in shells.
-        is_full: Whether the client's memory is full of records that are worth as much as the next one.
-    """
-
-    regime: str
-    stage: int
-    here: Candidates
-    cell: kernels.Cell
-    view: kernels.View
-    is_full: bool = False
-
-    @property
-    def is_filling(self) -> bool:
-        """Whether the records of this stage only fill an idle link."""
-        return self.stage > _DETAILS
-
-
-class Outlook(NamedTuple):
-    """The poses for which records were ranked, now and predicted, and the cells and regime that follow from them."""
-
-    now: Pose
-    then: Pose
-    cell: int
-    cell_ahead: int
-    regime: str
 
 
 class Planner:
@@ -170,7 +130,7 @@ class Planner:
         """Whether the next batch only fills an idle link; False if there is a pose later than the last batch."""
         if self._cursor is None or self._viewer.has_moved:
             return False
-        is_next = self._ranking.is_used_up and self._next_stage > _DETAILS
+        is_next = self._ranking.is_used_up and self._next_stage > Stage.DETAILS
         return (self._cursor.is_filling or is_next) and not self.done
 
     @property
@@ -259,76 +219,35 @@ class Planner:
         spare = budget if spare is None else min(budget, spare)
         if self._cursor is None or self.done:
             return Batch.empty()
-        out = self._empty_ids(budget)
-        taken = [0, 0, 0, 0]
-        total = 0.0
+        taking = Taking(self.candidates, self.holdings, budget)
         evicted = None
         cursor = self._cursor
         while True:
             wanted = spare if cursor.is_filling else budget
             limit = self._fitting_bytes(wanted, cursor)
             if self._ranking.is_used_up:
-                begins_to_fill = not cursor.is_filling and self._next_stage > _DETAILS
-                if (sum(taken[:2]) and begins_to_fill) or not self._go_on(cursor):
+                begins_to_fill = not cursor.is_filling and self._next_stage > Stage.DETAILS
+                if (taking.has_records and begins_to_fill) or not self._go_on(cursor):
                     break  # what fills the link has batches of its own
                 cursor = self._cursor
                 continue
             if self._ranking.is_at_end:
-                self._ranking.rank_more(cursor.here, cursor.cell, cursor.view, max(self.reach, budget - total))
-            found, size = self._take_next(cursor, limit - total, out, taken)
-            taken = [a + b for a, b in zip(taken, found, strict=True)]
-            total += size
+                self._ranking.rank_more(cursor.here, cursor.cell, cursor.view, max(self.reach, budget - taking.total))
+            taking.take_ranked(self._ranking, cursor, limit)
             if self._ranking.is_at_end:
                 continue
-            is_blocked = not sum(taken[:2]) and limit < wanted
+            is_blocked = not taking.has_records and limit < wanted
             if not is_blocked or cursor.is_filling or evicted is not None:
                 if is_blocked:
                     self._cursor = cursor._replace(is_full=True)
                 break
             evicted = self._evict((budget - limit) / self.candidates.tables.numbers.sent_per_stored, cursor)
             cursor = self._cursor = cursor._replace(cell=self._cells.replacements.allow(cursor.cell))
-        gaussians, terms, dropped, gone = (a[:count].copy() for a, count in zip(out, taken, strict=True))
-        self._cells.has_terms |= taken[1] > 0
+        batch = taking.batch(filling=cursor.is_filling, evicted=evicted)
+        self._cells.has_terms |= len(batch.terms) > 0
         if self.memory is not None:
-            self.memory.add(taken[0], taken[1], dropped)
-        filling = cursor.is_filling and sum(taken[:2]) > 0
-        return Batch(gaussians, terms, dropped, total, filling, dropped[:0] if evicted is None else evicted, gone)
-
-    def _empty_ids(self, budget: float) -> kernels.Taken:
-        """Return empty arrays for the ids of a batch of at most `budget` bytes."""
-        shared = self.candidates
-        counts = (self.holdings.gaussians, self.holdings.terms)
-        gaussians, terms = (
-            min(n, int(min(budget, 1e12) / size) + 1)
-            for n, size in zip(counts, shared.tables.numbers.least_sizes, strict=True)
-        )
-        return kernels.Taken(np.empty(gaussians, np.int32), np.empty(terms, np.uint32), *shared.scratch.taken())
-
-    def _take_next(
-        self, cursor: Cursor, budget: float, out: kernels.Taken, taken: list[int]
-    ) -> tuple[list[int], float]:
-        """Take the next ranked records that fit into a budget; return their four numbers and their bytes.
-
-        Args:
-            cursor: Where to continue.
-            budget: Bytes.
-            out: Receives the ids, after those taken already.
-            taken: Numbers of Gaussians, terms, dropped and gone Gaussians that were taken already.
-        """
-        ranking = self._ranking
-        rest = kernels.Taken(*(array[count:] for array, count in zip(out, taken, strict=True)))
-        ranking.place, *found, size = take(
-            ranking.plan,
-            ranking.place,
-            cursor.cell,
-            self.holdings.words,
-            cursor.view,
-            self.candidates.tables.records,
-            self.candidates.tables.links,
-            budget,
-            rest,
-        )
-        return found, size
+            self.memory.add(len(batch.gaussians), len(batch.terms), batch.dropped)
+        return batch
 
     def _fitting_bytes(self, budget: float, cursor: Cursor) -> float:
         """Return how many bytes of records fit into the memory of the client, at most `budget`."""
@@ -356,17 +275,25 @@ class Planner:
     # the stages
 
     @property
-    def _next_stage(self) -> int:
-        """The stage after this one; stages with terms are skipped in a scene without terms."""
-        stage = _NEEDS if self._cursor is None else self._cursor.stage
-        if stage < _AROUND and self.candidates.index.num_terms:
-            return stage + 1
-        return max(_SHELLS + self._cells.shell, stage + 1)
+    def _next_stage(self) -> Stage:
+        """The stage after this one, `SHELLS` at the end; stages with terms are skipped in a scene without terms."""
+        stage = Stage.NEEDS if self._cursor is None else self._cursor.stage
+        if stage < Stage.AROUND and self.candidates.index.num_terms:
+            return Stage(stage + 1)
+        return Stage.SHELLS
+
+    @property
+    def _next_shell(self) -> int:
+        """The first shell after this stage of which something may be left."""
+        shell = -1 if self._cursor is None else self._cursor.shell
+        return max(self._cells.shell, shell + 1)
 
     @property
     def _is_last_stage(self) -> bool:
         """Whether no stage follows."""
-        return self._next_stage >= (_SHELLS + self._cells.shells if self.config.fill else _AROUND)
+        if not self.config.fill:
+            return self._next_stage >= Stage.AROUND
+        return self._next_stage is Stage.SHELLS and self._next_shell >= self._cells.shells
 
     def _go_on(self, cursor: Cursor) -> bool:
         """Go on to the next stage; return False if there is none."""
@@ -374,19 +301,21 @@ class Planner:
         if near is None or self._is_last_stage:
             return False
         stage = self._next_stage
-        if stage <= _AROUND:
-            parts = (INSIDE, OUTSIDE, EDGE) if stage == _AROUND else (INSIDE,)
-            self._ranking.begin_terms(cursor.regime, parts)
-            view = cursor.view._replace(gains=self._ranking.gains)
-            cell = self._cells.replacements.allow(near.again)
-            self._cursor = cursor._replace(stage=stage, cell=cell, view=view)
-            return True
-        found = self._cells.next_shell(stage - _SHELLS)
+        if stage is Stage.SHELLS:
+            return self._go_to_shell(cursor, self._next_shell)
+        self._ranking.begin_terms(cursor.regime, (INSIDE, OUTSIDE, EDGE) if stage is Stage.AROUND else (INSIDE,))
+        view = cursor.view._replace(gains=self._ranking.gains)
+        self._cursor = cursor._replace(stage=stage, cell=self._cells.replacements.allow(near.again), view=view)
+        return True
+
+    def _go_to_shell(self, cursor: Cursor, number: int) -> bool:
+        """Go on to the first shell, from a number on, of which something is left; return False if there is none."""
+        found = self._cells.next_shell(number)
         if found is None:
             return False
         here, cell = found
         view = cursor.view._replace(planes=_NO_PLANES, middle=_NO_PLANES, eyes=np.zeros((0, 3), np.float32))
-        self._cursor = cursor._replace(stage=_SHELLS + self._cells.shell, here=here, cell=cell, view=view)
+        self._cursor = Cursor(cursor.regime, Stage.SHELLS, self._cells.shell, here, cell, view, cursor.is_full)
         self._ranking.begin_shell()
         return True
 
@@ -430,17 +359,10 @@ class Planner:
     def _is_ranked(self, here: Candidates, outlook: Outlook) -> bool:
         """Whether records are ranked for a view like this one."""
         near = self._cells.near
-        was = self._outlook
-        if was is None or near is None or near.here is not here:
+        if self._outlook is None or near is None or near.here is not here:
             return False
-        if (was.cell, was.cell_ahead, was.regime) != (outlook.cell, outlook.cell_ahead, outlook.regime):
-            return False
-        return self._is_near(outlook.now, was.now) and self._is_near(outlook.then, was.then)
-
-    def _is_near(self, a: Pose, b: Pose) -> bool:
-        """Whether two poses differ by at most `AbrConfig.move` and `AbrConfig.turn`."""
-        still = a.distance_to(b) <= self.config.move * self.candidates.index.grid.cell_size
-        return still and a.turn_to(b) <= self.config.turn
+        move = self.config.move * self.candidates.index.grid.cell_size
+        return outlook.is_like(self._outlook, move=move, turn=self.config.turn)
 
     def _aim(
         self, here: Candidates, eye: F32, eyes: F32, planes: F32, middle: F32, regime: str, cell_ahead: int
@@ -464,5 +386,5 @@ class Planner:
             middle=middle,
             bodies=shared.tables.bodies,
         )
-        self._cursor = Cursor(regime, _NEEDS, here, cell, view)
+        self._cursor = Cursor(regime, Stage.NEEDS, -1, here, cell, view)
         self._ranking.begin_view(regime)
