@@ -47,6 +47,7 @@ class Client(NamedTuple):
 
 
 def _parse(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """Return an address, IPv4 for one that is mapped into IPv6; None if the text is no address."""
     try:
         found = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:
@@ -102,7 +103,7 @@ class Proxies:
 
 
 def _bare(entry: str) -> str:
-    """Drop the port and the brackets."""
+    """Return an address without port and brackets."""
     if entry.startswith("["):
         return entry[1:].partition("]")[0]
     return entry.partition(":")[0] if entry.count(":") == 1 else entry

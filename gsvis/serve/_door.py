@@ -2,7 +2,8 @@
 
 Viewers that stream have their own seats (see `app`) and are never closed to make room. All other connections share
 `Limits.waiting` places, with at most `Limits.per_address` for one address. A new connection is always accepted. The one
-closed for it belongs to the address with most connections, and has waited longest. So a crowd harms itself first.
+closed for it belongs to the address with most connections, and has waited longest. So a client with many
+connections harms itself first.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gsvis.serve._addresses import Proxies
-from gsvis.serve._guard import Guard, Means, Phase
+from gsvis.serve._guard import Guard, Phase, Shared
 
 __all__ = ["Door"]
 
@@ -36,7 +37,7 @@ class Door:
 
     Args:
         listener: A listening socket that does not block.
-        means: What all guards share.
+        shared: What all guards share.
         inner: Makes the protocol that answers the requests of a connection.
         proxies: Proxies to trust about client addresses; their own addresses have no limit.
         tls: None for plain connections.
@@ -50,7 +51,7 @@ class Door:
     def __init__(
         self,
         listener: socket.socket,
-        means: Means,
+        shared: Shared,
         inner: Callable[[], Any],
         proxies: Proxies,
         tls: ssl.SSLContext | None = None,
@@ -58,16 +59,16 @@ class Door:
     ) -> None:
         self._is_ahead = is_ahead
         self._listener = listener
-        self._means = means
-        self._limits = means.limits
-        self._log = means.log
+        self._shared = shared
+        self._limits = shared.limits
+        self._log = shared.log
         self._inner = inner
         self._proxies = proxies
         self._tls = tls
         self.guards: set[Guard] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._accepting: asyncio.Task[None] | None = None
-        self._said = -_QUIET_S
+        self._logged_at = -_QUIET_S
 
     def open(self) -> None:
         """Start to accept connections."""
@@ -96,26 +97,27 @@ class Door:
             await asyncio.wait([self._accepting])
 
     async def _accept(self) -> None:
+        """Accept connections until cancelled."""
         pause = _PAUSE_S
         try:
             while True:
-                await self._wait_for_some()
+                await self._wait_for_connections()
                 for _ in range(_IN_A_ROW):
                     try:
-                        sock, place = self._next()
+                        sock, place = self._accept_one()
                     except BlockingIOError:  # no more, or another process has taken it
                         break
                     except OSError as error:
-                        self._make_do(error)
+                        self._log_failure(error)
                         await asyncio.sleep(pause)
                         pause = min(2.0 * pause, _LONGEST_PAUSE_S)
                         continue
                     pause = _PAUSE_S
-                    self._take(sock, (str(place[0]), int(place[1])) if isinstance(place, tuple) else ("-", 0))
+                    self._admit(sock, (str(place[0]), int(place[1])) if isinstance(place, tuple) else ("-", 0))
         finally:
             self._listener.close()
 
-    async def _wait_for_some(self) -> None:
+    async def _wait_for_connections(self) -> None:
         """Wait until connections can be accepted, and then for a slot."""
         loop = asyncio.get_running_loop()
         there = asyncio.Event()
@@ -127,34 +129,36 @@ class Door:
         if self._is_ahead is not None and self._is_ahead():
             await asyncio.sleep(_YIELD_S)
         slot = asyncio.Event()
-        self._means.precedence.call(slot.set)
+        self._shared.precedence.call(slot.set)
         await slot.wait()
 
-    def _next(self) -> tuple[socket.socket, Any]:
+    def _accept_one(self) -> tuple[socket.socket, Any]:
         """Return a new connection and its peer; raise BlockingIOError if there is none."""
         return self._listener.accept()
 
-    def _make_do(self, error: OSError) -> None:
-        """Log that a connection could not be accepted; close another one if resources ran out."""
+    def _log_failure(self, error: OSError) -> None:
+        """Log that a connection could not be accepted; close a connection if resources ran out."""
         name = errno.errorcode.get(error.errno or 0, "other")
-        self._means.metrics.accept_failures.add(of=name)
-        now = self._means.clock.now()
-        if now - self._said >= _QUIET_S:
-            self._said = now
+        self._shared.metrics.accept_failures.add(of=name)
+        now = self._shared.clock.now()
+        if now - self._logged_at >= _QUIET_S:
+            self._logged_at = now
             self._log("accept-failed", logging.ERROR, why=str(error), connections=len(self.guards))
         if error.errno in _NO_ROOM:
             self._make_room(self._waiting())
 
-    def _take(self, sock: socket.socket, peer: tuple[str, int]) -> None:
+    def _admit(self, sock: socket.socket, peer: tuple[str, int]) -> None:
+        """Watch a new connection; close one that is less needed if there are too many."""
         sock.setblocking(False)
-        guard = Guard(sock, peer, self._means, self)
+        guard = Guard(sock, peer, self._shared, self)
         self.guards.add(guard)
-        self._crowd(guard)
-        task = asyncio.create_task(self._begin(guard, sock))
+        self._enforce_limits(guard)
+        task = asyncio.create_task(self._start_transport(guard, sock))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _begin(self, guard: Guard, sock: socket.socket) -> None:
+    async def _start_transport(self, guard: Guard, sock: socket.socket) -> None:
+        """Connect a socket with its guard; with TLS, after the handshake."""
         options: dict[str, Any] = {}
         if self._tls is not None:
             options = {"ssl": self._tls, "ssl_handshake_timeout": _NEVER}
@@ -164,7 +168,7 @@ class Door:
             await asyncio.get_running_loop().connect_accepted_socket(lambda: guard, sock, **options)
         except OSError as error:  # no handshake; the connection is closed by now
             if not guard.phase.has_ended:
-                self._means.metrics.cut.add(of="no TLS")
+                self._shared.metrics.cut.add(of="no TLS")
                 self._log("cut", logging.INFO, reason="no TLS", peer=str(guard), why=type(error).__name__)
             guard.end()
             error.__traceback__ = None  # a frame of asyncio in it refers to the error, and to the buffers of TLS
@@ -173,10 +177,11 @@ class Door:
             raise
 
     def _waiting(self) -> list[Guard]:
+        """Return the connections that are no viewers."""
         return [guard for guard in self.guards if guard.phase is not Phase.STREAMING and not guard.phase.has_ended]
 
-    def _crowd(self, newcomer: Guard) -> None:
-        """Enforce the limits: close another connection if the new one exceeds them."""
+    def _enforce_limits(self, newcomer: Guard) -> None:
+        """Close a connection if a new one exceeds the limits."""
         waiting = self._waiting()
         if newcomer.client.address not in self._proxies:
             same = [guard for guard in waiting if guard.client.owner == newcomer.client.owner]

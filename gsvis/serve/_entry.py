@@ -54,6 +54,7 @@ class Entry:
         return self._has_cookie(asked) if shown is None else self.is_right(shown)
 
     def _has_cookie(self, asked: HTTPConnection) -> bool:
+        """Return whether a request shows the cookie, and was made by a page of this server or by a person."""
         name, value = self._cookie()
         given = asked.cookies.get(name)
         if given is None or not _same(given, value):
@@ -93,13 +94,14 @@ def is_same_origin(asked: HTTPConnection) -> bool:
 
 
 def _same(one: str, other: str) -> bool:
+    """Return whether two texts are equal, in constant time."""
     return hmac.compare_digest(one.encode("utf-8", "replace"), other.encode())
 
 
 class Cors:
-    """Let pages of allowed origins read scenes, packages and the files of the viewer; they show the token in a header.
+    """Let pages of allowed origins read scenes, packages and the files of the viewer.
 
-    Cookies never count for them: no answer allows credentials.
+    Such pages show the token in a header. Their cookies never count: no answer allows credentials.
     """
 
     def __init__(self, inner: ASGIApp, entry: Entry) -> None:
@@ -132,7 +134,7 @@ class Cors:
         await self._inner(scope, receive, with_headers)
 
     def _answer(self, request: Request, is_open: bool) -> Response:
-        """Answer what a browser asks before a request of another origin; it shows no token yet."""
+        """Answer the preflight request of a browser, which shows no token."""
         vary = {"vary": "Origin"}
         if not is_open:
             return PlainTextResponse("pages of this origin may not read from here\n", 403, vary)

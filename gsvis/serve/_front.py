@@ -63,6 +63,7 @@ class Front:
             await answer(scope, receive, send)
 
     async def _pass_on(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let the application answer; log an error of it in one line and answer 500."""
         begun = False
 
         async def watched(message: Message) -> None:
@@ -85,6 +86,7 @@ class Front:
                     await PlainTextResponse("the server failed; try again later\n", 500)(scope, receive, send)
 
     def _is_good(self, scope: Scope) -> bool:
+        """Return whether a request names a known host, or asks for the health of the server."""
         host = HTTPConnection(scope).headers.get("host")
         if host is None:  # no page sends such a request
             return True

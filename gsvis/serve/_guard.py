@@ -38,7 +38,7 @@ from gsvis.serve.metrics import Metrics
 from gsvis.serve.precedence import Precedence
 from gsvis.serve.turns import Readings
 
-__all__ = ["Guard", "House", "Means", "Phase", "Wire"]
+__all__ = ["Guard", "GuardOwner", "Phase", "Shared", "Wire"]
 
 _MOST_PENDING = 1 << 20  # most bytes that wait for a viewer, with answers to pings; or four batches, if more
 _PACE = 1 << 10  # least bytes that a peer must read in `stall_s`
@@ -66,7 +66,7 @@ class Phase(enum.Enum):
 
 
 @dataclass(frozen=True)
-class Means:
+class Shared:
     """What all guards of a server share.
 
     Attributes:
@@ -86,7 +86,7 @@ class Means:
     precedence: Precedence = field(default_factory=Precedence)
 
 
-class House(Protocol):
+class GuardOwner(Protocol):
     """What a guard asks of the door that it belongs to."""
 
     def make_protocol(self) -> Any:
@@ -150,30 +150,30 @@ class Guard(asyncio.Protocol):
     Args:
         sock: The accepted socket.
         peer: Address of the other end.
-        means: What all guards share.
-        house: The door that accepted the connection.
+        shared: What all guards share.
+        door: The door that accepted the connection.
 
     Attributes:
         peer: Address of the other end of the socket.
-        client: The client; behind a proxy another one than `peer`.
+        client: The client; behind a proxy, the address that the proxy names.
         phase: Phase of the connection.
         since: Increases with each change of phase; the smallest has waited longest.
     """
 
-    def __init__(self, sock: socket.socket, peer: tuple[str, int], means: Means, house: House) -> None:
+    def __init__(self, sock: socket.socket, peer: tuple[str, int], shared: Shared, door: GuardOwner) -> None:
         self.peer = peer
         self.client = Client.at(peer[0])
-        self._means = means
-        self._house = house
+        self._shared = shared
+        self._door = door
         self._line = Line(sock)
         self._inner: _Inner | None = None
         self._requests = RequestBuffer()
         self._frames: Slices | None = None  # None before the connection is a WebSocket
         self._deadline: Timer | None = None
         self._room: Timer | None = None
-        self._left = 0  # bytes that waited to be sent at the last check, while ending
+        self._unsent_before = 0  # bytes that waited to be sent at the last check, while ending
         self.phase = Phase.ASKING
-        self._enter(Phase.ASKING, means.limits.handshake_s)
+        self._enter(Phase.ASKING, shared.limits.handshake_s)
 
     def __str__(self) -> str:
         return f"{self.peer[0]}:{self.peer[1]}"
@@ -196,7 +196,7 @@ class Guard(asyncio.Protocol):
         if self.phase.has_ended:
             transport.abort()
             return
-        self._inner = self._house.make_protocol()
+        self._inner = self._door.make_protocol()
         self._inner.connection_made(Wire(transport, self))
 
     def data_received(self, data: bytes) -> None:
@@ -251,13 +251,13 @@ class Guard(asyncio.Protocol):
         if self.phase is not Phase.ANSWERING:
             return
         self._enter(Phase.IDLE)
-        self._rest()
+        self._start_keep_alive()
         self._line.transport.resume_reading()
         if self._requests:
-            self._means.readings.add(self._go_on)
+            self._shared.readings.add(self._take_next_request)
 
-    def _go_on(self) -> bool:
-        """Take the next request of those that came at once; return False, as one is enough for a turn."""
+    def _take_next_request(self) -> bool:
+        """Take the next of several requests that came together; return False: one a turn is enough."""
         if self.phase is Phase.IDLE:
             self._take_request()
         return False
@@ -265,7 +265,7 @@ class Guard(asyncio.Protocol):
     def upgrade(self, protocol: Any) -> None:
         """Switch the connection to a WebSocket."""
         self._inner = protocol
-        self._frames = Slices(self._line, self._means.readings, self._hand_over)
+        self._frames = Slices(self._line, self._shared.readings, self._hand_over)
         if self.phase is Phase.ANSWERING:
             self._enter(Phase.GREETING)
 
@@ -294,8 +294,8 @@ class Guard(asyncio.Protocol):
     def finish(self) -> None:
         """Enter the phase ENDING: the peer has `stall_s` to read the rest and to close."""
         if self.phase is not Phase.ENDING and not self.phase.has_ended:
-            self._left = self.unsent
-            self._enter(Phase.ENDING, self._means.limits.stall_s)
+            self._unsent_before = self.unsent
+            self._enter(Phase.ENDING, self._shared.limits.stall_s)
 
     def cut(self, reason: str = "", level: int = logging.WARNING) -> None:
         """Abort the connection now and discard unsent bytes, in the kernel too.
@@ -307,8 +307,8 @@ class Guard(asyncio.Protocol):
         if self.phase.has_ended:
             return
         if reason:
-            self._means.metrics.cut.add(of=reason)
-            self._means.log("cut", level, reason=reason, peer=str(self), phase=self.phase.value)
+            self._shared.metrics.cut.add(of=reason)
+            self._shared.log("cut", level, reason=reason, peer=str(self), phase=self.phase.value)
         self.phase = Phase.CUT
         self._stop_timers()
         self._line.abort()
@@ -322,7 +322,7 @@ class Guard(asyncio.Protocol):
                 self._inner.shutdown()
             except Exception as error:
                 why = f"shutdown: {type(error).__name__}: {error}"
-                self._means.log("failed", logging.ERROR, peer=str(self), why=why)
+                self._shared.log("failed", logging.ERROR, peer=str(self), why=why)
                 self.cut()
 
     def end(self) -> None:
@@ -334,8 +334,8 @@ class Guard(asyncio.Protocol):
         self._requests.clear()
         if self._frames is not None:
             self._frames.clear()
-        self._means.precedence.forget(self._line.fd, self)
-        self._house.forget(self)
+        self._shared.precedence.forget(self._line.fd, self)
+        self._door.forget(self)
 
     # inside
 
@@ -343,31 +343,33 @@ class Guard(asyncio.Protocol):
         """Enter a phase, which ends after some seconds at the latest; None sets no deadline."""
         if self._deadline is not None:
             self._deadline.cancel()
-        self._deadline = None if seconds is None else self._means.clock.call_later(seconds, self._too_late)
-        self._means.precedence.put(self._line.fd, self, is_first=phase is Phase.STREAMING)
-        # last: who reads it from another thread finds the deadline set
+        self._deadline = None if seconds is None else self._shared.clock.call_later(seconds, self._too_late)
+        self._shared.precedence.put(self._line.fd, self, is_first=phase is Phase.STREAMING)
+        # last, so that another thread that reads the phase finds the deadline set
         self.phase = phase
         self.since = next(_numbers)
 
     def _stop_timers(self) -> None:
+        """Cancel all deadlines."""
         for timer in (self._deadline, self._room):
             if timer is not None:
                 timer.cancel()
 
-    def _rest(self) -> None:
+    def _start_keep_alive(self) -> None:
         """Start the deadline of the next request after the answer is sent; until then check that the peer reads."""
         left = self.unsent
-        limits = self._means.limits
+        limits = self._shared.limits
         if left:
-            self._look_in_a_moment(left, self._means.clock.now() + limits.stall_s)
+            self._check_later(left, self._shared.clock.now() + limits.stall_s)
         else:
             self._enter(Phase.IDLE, limits.keep_alive_s)
 
-    def _look_in_a_moment(self, left: int, end: float) -> None:
-        wait = min(_LOOK_S, self._means.limits.stall_s)
-        self._deadline = self._means.clock.call_later(wait, partial(self._look, left, end))
+    def _check_later(self, left: int, end: float) -> None:
+        """Check in a moment that the peer reads; see `_check_reading`."""
+        wait = min(_LOOK_S, self._shared.limits.stall_s)
+        self._deadline = self._shared.clock.call_later(wait, partial(self._check_reading, left, end))
 
-    def _look(self, left: int, end: float) -> None:
+    def _check_reading(self, left: int, end: float) -> None:
         """Check that the answer has been sent, or that the peer reads it.
 
         Args:
@@ -375,12 +377,12 @@ class Guard(asyncio.Protocol):
             end: When the peer must have read some of them, seconds of the clock.
         """
         unsent = self.unsent
-        if unsent > 0 and self._means.clock.now() < end:
-            self._look_in_a_moment(left, end)
+        if unsent > 0 and self._shared.clock.now() < end:
+            self._check_later(left, end)
         elif unsent > 0 and left - unsent < _PACE:
             self.cut("does not read")
         else:
-            self._rest()
+            self._start_keep_alive()
 
     def _too_late(self) -> None:
         """End the connection at the deadline of its phase, or give it more time while it reads."""
@@ -388,12 +390,12 @@ class Guard(asyncio.Protocol):
             self.close()  # no error: the peer has no further request
             return
         if self.phase is Phase.ENDING:
-            left = self._left
-            self._left = self.unsent
-            if left - self._left >= _PACE:  # the peer still reads
-                self._enter(Phase.ENDING, self._means.limits.stall_s)
+            left = self._unsent_before
+            self._unsent_before = self.unsent
+            if left - self._unsent_before >= _PACE:  # the peer still reads
+                self._enter(Phase.ENDING, self._shared.limits.stall_s)
                 return
-            self.cut("does not read" if self._left else "does not end", logging.INFO)
+            self.cut("does not read" if self._unsent_before else "does not end", logging.INFO)
             return
         self.cut("no request in time", logging.INFO)
 
@@ -415,7 +417,7 @@ class Guard(asyncio.Protocol):
     def _find_client(self, head: Head) -> None:
         """Take the address of the client from a request, which a proxy may have forwarded."""
         forwarded = [value for name, value in head.headers if name == "x-forwarded-for"]
-        address = self._house.client_of(self.peer[0], forwarded)
+        address = self._door.client_of(self.peer[0], forwarded)
         if address != self.client.address:
             self.client = Client.at(address)
 
@@ -427,19 +429,19 @@ class Guard(asyncio.Protocol):
         try:
             self._inner.data_received(data)
         except Exception as error:  # a failing parser ends only its own connection
-            self._means.metrics.cut.add(of="failed")
-            self._means.log("failed", logging.ERROR, peer=str(self), why=f"{type(error).__name__}: {error}")
+            self._shared.metrics.cut.add(of="failed")
+            self._shared.log("failed", logging.ERROR, peer=str(self), why=f"{type(error).__name__}: {error}")
             self.cut()
             return False
-        most = max(_MOST_PENDING, 4 * self._means.limits.batch_bytes)
+        most = max(_MOST_PENDING, 4 * self._shared.limits.batch_bytes)
         if self._frames is not None and self.unsent > most:
             self.cut("pings and does not read")
         return not self.phase.has_ended
 
     def _refuse(self, refusal: Refusal) -> None:
         """Write the refusal directly, without uvicorn, and end the connection."""
-        self._means.metrics.refused.add(of=str(refusal.status))
-        self._means.log("refused", logging.WARNING, peer=str(self), reason=str(refusal.status), why=refusal.line)
+        self._shared.metrics.refused.add(of=str(refusal.status))
+        self._shared.log("refused", logging.WARNING, peer=str(self), reason=str(refusal.status), why=refusal.line)
         self._requests.clear()
         self._line.transport.write(_answer(refusal))
         self.finish()
@@ -456,7 +458,7 @@ class Guard(asyncio.Protocol):
             else:
                 self._watch_room()
 
-        self._room = self._means.clock.call_later(self._means.limits.stall_s, look)
+        self._room = self._shared.clock.call_later(self._shared.limits.stall_s, look)
 
 
 def _answer(refusal: Refusal) -> bytes:

@@ -32,10 +32,12 @@ def line_of(event: str, **facts: object) -> str:
 
 
 def _short(value: object) -> object:
+    """Return a value; of a long text, its beginning."""
     return f"{value[:_LONGEST]}..." if isinstance(value, str) and len(value) > _LONGEST else value
 
 
 def _value(value: object) -> str:
+    """Return a value as text without spaces, or in quotes."""
     text = f"{value:.4g}" if isinstance(value, float) else str(_short(value))
     return text if _PLAIN.fullmatch(text) else json.dumps(text)
 

@@ -63,7 +63,7 @@ class Questions:
             self._waiting += 1
             try:
                 async with self._turn:
-                    found = self._kept.find(key)  # somebody before may have asked the same
+                    found = self._kept.find(key)  # the question before may have been the same
                     if found is None:
                         found = await asyncio.to_thread(self._find, served, fact, gaussian)
             finally:
@@ -72,6 +72,7 @@ class Questions:
         return Response(found, 200, {"cache-control": _KEEP, "x-content-type-options": "nosniff"}, "application/json")
 
     def _find(self, served: ServedScene, fact: str, gaussian: int | None) -> bytes:
+        """Compute an answer; a thread runs it."""
         with served.in_use(self._now) as scene:
             found: Mapping[str, Any] | None = FACTS[fact](scene) if gaussian is None else explain(scene, gaussian)
         return json.dumps(found, allow_nan=False, separators=(",", ":")).encode()

@@ -101,6 +101,8 @@ class AppConfig:
 
 
 class _App:
+    """The answers of the application, by route."""
+
     def __init__(
         self,
         scenes: Mapping[str, ServedScene],
@@ -173,6 +175,7 @@ class _App:
         guard = socket.scope.get("extensions", {}).get(GUARD)
 
         def seat() -> str:
+            """Take a seat; return why there is none, or ""."""
             why = self.seats.take(owner, connection)
             if not why:
                 self.metrics.clients.set(self.seats.taken)
@@ -244,7 +247,7 @@ class _App:
         return self.pages.file(request, request.path_params["file"])
 
     def publish(self) -> None:
-        """Let other processes know of this one."""
+        """Tell the other processes of the server about this one."""
         if self.siblings is not None:
             self.siblings.publish(self.metrics, self.seats.by_owner, self.ready())
 
@@ -376,6 +379,7 @@ def _row(served: ServedScene) -> dict[str, Any]:
 
 
 def _why_not_origin(socket: WebSocket) -> str:
+    """Return why the origin of a page is refused, for the log."""
     origin = socket.headers.get("origin")
     host = socket.headers.get("host")
     return (

@@ -138,7 +138,7 @@ class StreamClient:
         """
         self._stopped.clear()
         self._began = time.monotonic()
-        work = asyncio.create_task(self._keep_on(pose, on_batch))
+        work = asyncio.create_task(self._reconnect(pose, on_batch))
         ended = asyncio.create_task(self._stopped.wait())
         timer = None if np.isinf(seconds) else self._clock.call_later(seconds, self.stop)
         try:
@@ -152,7 +152,8 @@ class StreamClient:
                 task.cancel()
             await asyncio.gather(work, ended, return_exceptions=True)
 
-    async def _keep_on(self, pose: Pose, on_batch: Callable[[Received], None] | None) -> None:
+    async def _reconnect(self, pose: Pose, on_batch: Callable[[Received], None] | None) -> None:
+        """Stream; connect again whenever the connection ends."""
         wait = self.config.first_wait_s
         lost = self._clock.now()
         while True:
@@ -199,7 +200,7 @@ class StreamClient:
         async with await self._clock.within(_OPEN_S, _open(opening)) as socket:
             first = Hello(self.view, memory=config.memory_bytes)
             hello = first if self.receiver is None else self.receiver.hello(self.view)
-            await self._clock.within(_OPEN_S, _say(socket, hello.to_bytes()))
+            await self._clock.within(_OPEN_S, _send(socket, hello.to_bytes()))
             welcome = await self._clock.within(_OPEN_S, _next(socket))
             if self.receiver is None:
                 self.receiver = self._start_scene(welcome)
@@ -207,7 +208,7 @@ class StreamClient:
                 self.receiver = self._start_scene(welcome)
                 self.restarts += 1
             self.connections += 1
-            await _say(socket, Ack(0).to_bytes())
+            await _send(socket, Ack(0).to_bytes())
             beside = [
                 asyncio.create_task(self._send_poses(socket, pose)),
                 asyncio.create_task(self._keep_alive(socket)),
@@ -217,7 +218,7 @@ class StreamClient:
                     data = await _next(socket)
                     received = self.receiver.receive(data)
                     self.nbytes += received.nbytes
-                    await _say(socket, Ack(received.sequence).to_bytes())
+                    await _send(socket, Ack(received.sequence).to_bytes())
                     if on_batch is not None:
                         on_batch(received)
             except asyncio.CancelledError:
@@ -249,6 +250,7 @@ class StreamClient:
                     await socket.close()
 
     async def _leave(self, socket: ClientConnection) -> None:
+        """Send BYE if the server takes it soon."""
         with suppress(ConnectionClosed, TimeoutError):
             await self._clock.within(_LEAVE_S, socket.send(Bye().to_bytes()))
 
@@ -280,13 +282,14 @@ async def _next(socket: ClientConnection) -> bytes:
     return data
 
 
-async def _say(socket: ClientConnection, data: bytes) -> None:
+async def _send(socket: ClientConnection, data: bytes) -> None:
     """Send data; ignore a closed connection, since the last message of the server, read later, says why."""
     with suppress(ConnectionClosed):
         await socket.send(data)
 
 
 async def _open(opening: connect) -> ClientConnection:
+    """Return the connection as a coroutine, which `Clock.within` takes."""
     return await opening
 
 

@@ -115,6 +115,8 @@ class ManualClock(Clock):
 
 
 class _Call:
+    """A call of `ManualClock` that waits for its time."""
+
     def __init__(self, loop: asyncio.AbstractEventLoop, call: Callable[[], object]) -> None:
         self._loop = loop
         self._call: Callable[[], object] | None = call

@@ -200,7 +200,7 @@ class Connection:
         """Read HELLO, and take a seat."""
         limits = self._setting.limits
         try:
-            said = await self._setting.clock.within(self._greet_s, self._first())
+            said = await self._setting.clock.within(self._greet_s, self._read_first_message())
         except TimeoutError:
             raise ProtocolError(f"no HELLO within {limits.handshake_s:g} s; closing", FAULTS["late"]) from None
         if not isinstance(said, Hello):
@@ -234,7 +234,9 @@ class Connection:
     async def _stream(self, scene: StreamedScene, hello: Hello) -> None:
         """Answer HELLO and stream until the connection ends."""
         try:
-            self.session = await self._apart(partial(Session.from_hello, scene, hello, self._setting.config))
+            self.session = await self._in_planner_thread(
+                partial(Session.from_hello, scene, hello, self._setting.config)
+            )
         except ValueError as error:
             raise ProtocolError(f"HELLO: {error}") from error
         self._served.sessions.add(self.session)
@@ -263,7 +265,7 @@ class Connection:
         held = len(session.holdings.received) or None
         self._setting.log("opened", client=self.number, scene=self._served.name, held=held)
 
-    async def _first(self) -> object:
+    async def _read_first_message(self) -> object:
         """Return the first message that is no TOKEN; one TOKEN may come before it, needed or not."""
         most = self._setting.limits.message_bytes or self._served.most_hello
         said = parse_client(await self._peer.receive(), most_hello=most)
@@ -300,18 +302,18 @@ class Connection:
         """Plan and send until the connection ends."""
         while True:
             now = self._setting.measure()
-            self._take_in()
+            self._use_messages()
             self._watchdog.check(self._session.outstanding)
-            if (wait := self._idle_for(now)) > 0.0:
+            if (wait := self._time_to_wait(now)) > 0.0:
                 await self._mailbox.wait(wait)
                 continue
             if self._setting.planners is None:
                 await self._take_turn()
-                self._take_in()
-                if self._idle_for(self._setting.measure()) > 0.0:
+                self._use_messages()
+                if self._time_to_wait(self._setting.measure()) > 0.0:
                     continue
             self._view = _View.PLANNED
-            message, seconds = await self._apart(self._plan)
+            message, seconds = await self._in_planner_thread(self._plan)
             self._again = now + self._setting.limits.tick_s if message is None else None
             self._setting.metrics.planning.observe(seconds)
             if message is not None:
@@ -327,7 +329,7 @@ class Connection:
             await pace.preparations.make(session.prepare, is_new=self._is_new)
         await pace.turns.take(is_new=self._is_new)
 
-    def _idle_for(self, now: float) -> float:
+    def _time_to_wait(self, now: float) -> float:
         """Return the seconds until the next batch is due, if nothing happens before; 0 for now."""
         session = self._session
         if self._view is _View.UNKNOWN or (session.done and self._view is _View.PLANNED):
@@ -346,36 +348,40 @@ class Connection:
         return message, self._setting.measure() - began
 
     def _count(self, message: Message) -> None:
+        """Count a message that was sent."""
         metrics = self._setting.metrics
         metrics.sent.batches.add()
         metrics.sent.bytes.add(len(message.data))
         metrics.sent.gaussians.add(len(message.batch.gaussians))
         metrics.sent.terms.add(len(message.batch.terms))
 
-    def _take_in(self) -> None:
+    def _use_messages(self) -> None:
         """Pass received poses and acknowledgements to the session."""
         for arrived, said in self._mailbox.take():
             try:
                 if isinstance(said, Ack):
-                    self._acknowledge(arrived, said)
+                    self._use_ack(arrived, said)
                 else:
-                    self._move(arrived, said)
+                    self._use_pose(arrived, said)
             except ValueError as error:
                 raise ProtocolError(f"{type(said).__name__}: {error}") from error
 
-    def _acknowledge(self, arrived: float, ack: Ack) -> None:
+    def _use_ack(self, arrived: float, ack: Ack) -> None:
+        """Pass an acknowledgement to the session."""
         session = self._session
         before = session.outstanding
         session.on_ack(arrived, ack.sequence)
         if session.outstanding < before:
             self._watchdog.progress()
 
-    def _move(self, arrived: float, pose: PoseAt) -> None:
+    def _use_pose(self, arrived: float, pose: PoseAt) -> None:
+        """Pass a pose to the session."""
         t = self._mailbox.clock.at(arrived, pose.time_ms)
         self._session.on_pose(t, self._served.within(pose.position), pose.quat)
         self._view = _View.NEW
 
-    async def _apart(self, work: Callable[[], _T]) -> _T:
+    async def _in_planner_thread(self, work: Callable[[], _T]) -> _T:
+        """Run work of the session in a thread for planning, or here if there is none."""
         executor = self._setting.planners
         return work() if executor is None else await asyncio.get_running_loop().run_in_executor(executor, work)
 
@@ -386,6 +392,7 @@ class Connection:
 
     @property
     def _session(self) -> Session:
+        """The session, after HELLO."""
         assert self.session is not None
         return self.session
 

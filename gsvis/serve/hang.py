@@ -92,6 +92,7 @@ class HangWatch:
         return True
 
     def _keep_looking(self) -> None:
+        """Look once a second until the loop hangs or the block ends."""
         while not self._stopped.wait(_LOOK_S):
             if self.look():
                 return

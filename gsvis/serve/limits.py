@@ -151,6 +151,7 @@ class Seats:
             del self._by_owner[owner]
 
     def _why_full(self, owner: str) -> str:
+        """Return which limit leaves no free seat to an address; "" if a seat is free."""
         elsewhere, same = self._others(owner)
         if self.taken + elsewhere >= self._limits.connections:
             return "too-many"

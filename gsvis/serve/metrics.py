@@ -238,6 +238,7 @@ def _sample(metric: Collector, name: str, labels: dict[str, str]) -> float:
 
 
 def _build() -> dict[str, str]:
+    """Return the versions of Python, gsvis and the libraries that serve."""
     found = {"python": platform.python_version()}
     for name in ("gsvis", "uvicorn", "websockets"):
         try:

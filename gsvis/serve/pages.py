@@ -54,6 +54,8 @@ _STYLE_HASH = "'sha256-" + b64encode(hashlib.sha256(_STYLE.encode()).digest()).d
 
 @dataclass(frozen=True)
 class _File:
+    """A file of the viewer, ready to send."""
+
     data: bytes
     packed: bytes | None  # by gzip, where that is smaller
     tag: str
@@ -121,17 +123,18 @@ class Pages:
         if found is None:
             line = "the viewer is not built here: run `make viewer`, or install gsvis from a wheel\n"
             return PlainTextResponse(line, 503, {"cache-control": "no-store"})
-        return self._guarded(request, found)
+        return self._with_policy(request, found)
 
     def view(self, request: Request, streamed: bool) -> Response:
         """Answer with the page of a scene, which says whether the scene is streamed: then the page need not ask."""
         if streamed and self._streamed is not None:
-            return self._guarded(request, self._streamed)
+            return self._with_policy(request, self._streamed)
         return self.page(request, _VIEW)
 
-    def _guarded(self, request: Request, found: _File) -> Response:
+    def _with_policy(self, request: Request, found: _File) -> Response:
+        """Answer with a page, under the strict policy."""
         response = self._send(request, found)
-        self._guard(response, self._policy)
+        self._set_policy(response, self._policy)
         response.headers.add_vary_header("Accept")
         return response
 
@@ -146,6 +149,7 @@ class Pages:
         return response
 
     def _send(self, request: Request, found: _File) -> Response:
+        """Answer with a file, compressed if the browser takes that; with 304 if the browser has it."""
         packed = found.packed if "gzip" in _codings(request) else None
         tag = f'"{found.tag}{"-gz" if packed else ""}"'
         headers = {
@@ -170,10 +174,10 @@ class Pages:
         """
         at = escape(address, quote=True)
         head = f'<meta http-equiv="refresh" content="0; url={at}">'
-        return self._small("Opening the viewer", f'<p><a href="{at}">Open the viewer</a></p>', head)
+        return self._small_page("Opening the viewer", f'<p><a href="{at}">Open the viewer</a></p>', head)
 
     def ask_token(self, fields: Iterable[tuple[str, str]] = ()) -> Response:
-        """Answer with a page that asks for the token; it comes back to the same address, with these fields of it."""
+        """Answer with a page that asks for the token, and then asks this address again with these query fields."""
         kept = "".join(
             f'<input type="hidden" name="{escape(name)}" value="{escape(value)}">'
             for name, value in fields
@@ -185,18 +189,19 @@ class Pages:
             '<input name="token" type="password" autocomplete="current-password" autofocus required>'
             "</label> <button>Open</button></form>"
         )
-        response = self._small("A token is needed", form, forms="'self'")
+        response = self._small_page("A token is needed", form, forms="'self'")
         response.status_code = 401
         response.headers["www-authenticate"] = "Bearer"
         return response
 
     def say(self, title: str, line: str, status: int) -> Response:
         """Answer with a page of one line, such as that a scene is not there."""
-        response = self._small(title, f"<p>{escape(line)}</p>")
+        response = self._small_page(title, f"<p>{escape(line)}</p>")
         response.status_code = status
         return response
 
-    def _small(self, title: str, body: str, head: str = "", forms: str = "'none'") -> Response:
+    def _small_page(self, title: str, body: str, head: str = "", forms: str = "'none'") -> Response:
+        """Return a page that is made here, without files."""
         text = (
             f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
             f'<meta name="viewport" content="width=device-width">{head}<style>{_STYLE}</style>'
@@ -204,11 +209,12 @@ class Pages:
         )
         response = Response(text, 200, {"cache-control": "no-store"}, _HTML)
         policy = f"default-src 'none'; style-src {_STYLE_HASH}; base-uri 'none'; form-action {forms}"
-        self._guard(response, f"{policy}; frame-ancestors {self._frames}")
+        self._set_policy(response, f"{policy}; frame-ancestors {self._frames}")
         response.headers["x-content-type-options"] = "nosniff"
         return response
 
-    def _guard(self, response: Response, policy: str) -> None:
+    def _set_policy(self, response: Response, policy: str) -> None:
+        """Add a policy, and headers that keep other sites out."""
         response.headers["content-security-policy"] = policy
         response.headers["referrer-policy"] = "no-referrer"
         response.headers["cross-origin-opener-policy"] = "same-origin"
@@ -221,6 +227,7 @@ def _name_origins(opens: Sequence[str]) -> bytes:
 
 
 def _file(data: bytes, kind: str) -> _File:
+    """Return a file, compressed where that pays."""
     packed = gzip.compress(data, 9, mtime=0) if len(data) >= _LEAST_PACKED else data
     small = packed if len(packed) < len(data) else None
     return _File(data, small, hashlib.sha256(data).hexdigest()[:32], kind)

@@ -138,6 +138,7 @@ def _read_table(world: Path, name: str) -> bytes:
 
 
 def _read(path: Path, most: int) -> bytes:
+    """Return the content of a file, at most so many bytes; raise FormatError for a link."""
     if path.is_symlink():
         raise FormatError(path, "", "a file of the package", "a link", "links are not followed; copy the file itself")
     return read_whole(path, most)

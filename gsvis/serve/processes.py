@@ -1,10 +1,10 @@
 """One server as several processes on one port: a supervisor starts them, restarts them, and ends them.
 
-The supervisor binds the port; its children inherit the listening socket and accept from one queue. So whoever is free
-takes a new viewer, and a child that dies takes no waiting connection with it (design note 059 compares this with
-SO_REUSEPORT). Children are whole commands of their own: nothing is shared but the socket and files. A child whose
-supervisor is gone ends. The event loop of a child writes a byte a second into a pipe: one that stops writing hangs, and
-is killed.
+The supervisor binds the port; its children inherit the listening socket and accept from one queue. So a child that is
+free takes a new viewer, and a child that dies takes no waiting connection with it (design note 059 compares this with
+SO_REUSEPORT). Children are whole commands of their own: nothing is shared but the socket and files. A child ends when
+its supervisor has gone. The event loop of a child writes a byte a second into a pipe; the supervisor kills a child that
+stops writing.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Child:
 
 @dataclass
 class _Place:
-    """A child that should run."""
+    """A child that should run, and what is known of its process."""
 
     number: int
     process: subprocess.Popen[bytes] | None = None
@@ -184,7 +184,7 @@ class Supervisor:
                 status = self._wait_for_first(Path(folder), reading)
                 if status is None and not self._stopped.is_set():
                     on_ready()
-                    self._keep(Path(folder), reading)
+                    self._keep_running(Path(folder), reading)
                 return -self._signal if status is None else status
             finally:
                 self._end()
@@ -206,18 +206,18 @@ class Supervisor:
                 return None
         return None
 
-    def _keep(self, folder: Path, reading: int) -> None:
+    def _keep_running(self, folder: Path, reading: int) -> None:
         """Start what should run and kill what hangs, again and again."""
         last = self._clock()
         while not self._stopped.is_set():
             now = self._clock()
             for place in self._places:
-                self._watch(place, min(now - last, _LONGEST_LOOK_S))
-                self._tend(place, folder, reading)
+                self._kill_if_hung(place, min(now - last, _LONGEST_LOOK_S))
+                self._restart_if_ended(place, folder, reading)
             last = now
             self._stopped.wait(_LOOK_S)
 
-    def _watch(self, place: _Place, elapsed: float) -> None:
+    def _kill_if_hung(self, place: _Place, elapsed: float) -> None:
         """Kill a child that gives no sign of life."""
         if place.process is None or place.process.poll() is not None:
             return
@@ -227,7 +227,8 @@ class Supervisor:
             place.process.kill()
             place.process.wait()
 
-    def _tend(self, place: _Place, folder: Path, reading: int) -> None:
+    def _restart_if_ended(self, place: _Place, folder: Path, reading: int) -> None:
+        """Log the end of a child; start it again after a pause that grows while it fails soon."""
         now = self._clock()
         if place.process is not None:
             status = place.process.poll()
@@ -244,6 +245,7 @@ class Supervisor:
             self._start(place, folder, reading)
 
     def _start(self, place: _Place, folder: Path, reading: int) -> None:
+        """Start a child, with the pipe of its signs of life."""
         place.beats, writing = os.pipe()
         os.set_blocking(place.beats, False)
         os.set_blocking(writing, False)

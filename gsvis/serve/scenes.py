@@ -1,4 +1,4 @@
-"""The scenes of a server, packages and worlds by name, open while somebody looks. A damaged one is refused.
+"""The scenes of a server, packages and worlds by name, open while they have viewers. A damaged one is refused.
 
 With a folder of kept tables a scene opens in milliseconds, so one without viewers is closed after a while and opened
 again for the next viewer. Without such a folder scenes stay open.
@@ -159,7 +159,7 @@ class ServedScene:
         return np.asarray(np.minimum(np.maximum(position, low), high), np.float64)
 
     def _note(self, scene: StreamedScene) -> None:
-        """Keep what is asked of the scene while it is closed."""
+        """Remember what clients may ask about the scene while it is closed."""
         self.openings += 1
         self._is_world = not scene.source.is_single
         grid = scene.index.grid
@@ -209,7 +209,7 @@ class Scenes(Mapping[str, ServedScene]):
         self._former: list[ServedScene] = []
 
     def replace(self, scene: ServedScene) -> None:
-        """Serve another scene under its name from now on; who reads the former one goes on until `close`."""
+        """Serve a scene under its name from now on; viewers of the former scene keep it until `close`."""
         former = self._served.get(scene.name)
         self._served[scene.name] = scene
         if former is not None:
@@ -330,6 +330,7 @@ def open_scene(
         return ServedScene(name, folder, None, site=Site(folder))
 
     def reopen() -> Opened:
+        """Open the package or world."""
         if is_world(folder):
             from gsvis.world.streamed import open_world  # seldom needed
 
@@ -355,6 +356,7 @@ def open_scene(
 
 
 def _report(served: ServedScene, log: EventLog) -> None:
+    """Log that a scene is ready."""
     if served.opened is None:
         log("ready", scene=served.name, gaussians=served.gaussians, form="static")
         return

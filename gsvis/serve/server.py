@@ -21,7 +21,7 @@ import uvicorn
 from gsvis import _check
 from gsvis.serve._addresses import Proxies
 from gsvis.serve._door import Door
-from gsvis.serve._guard import Means
+from gsvis.serve._guard import Shared
 from gsvis.serve._head import MOST_BYTES
 from gsvis.serve._log import EventLog
 from gsvis.serve._protocols import Plain, Socket
@@ -135,13 +135,14 @@ class Server:
         self._server = _Uvicorn(settings, self.clock, self._log, self._open_door)
 
     def _open_door(self, inner: Callable[[], Any], tls: ssl.SSLContext | None) -> Door:
+        """Return the door; `inner` makes uvicorn's protocol of a connection."""
         proxies = Proxies(self.config.proxies)
         readings = Readings(call=self._precedence.call)
-        means = Means(self.config.limits, self.clock, self._log, self.metrics, readings, self._precedence)
+        shared = Shared(self.config.limits, self.clock, self._log, self.metrics, readings, self._precedence)
         siblings = self._siblings
         clients = self.metrics.clients
         is_ahead = None if siblings is None else lambda: siblings.is_ahead(int(clients.value()))
-        return Door(self._socket, means, inner, proxies, tls, is_ahead)
+        return Door(self._socket, shared, inner, proxies, tls, is_ahead)
 
     @property
     def url(self) -> str:
@@ -172,19 +173,21 @@ class Server:
             self._log("stopped", clients=int(self.metrics.clients.value()))
 
     async def _serve(self, hung_s: float | None) -> None:
-        asyncio.get_running_loop().set_exception_handler(self._note)
+        """Serve until stopped, with all that runs beside the viewers."""
+        asyncio.get_running_loop().set_exception_handler(self._log_asyncio_event)
         with nullcontext() if hung_s is None else HangWatch(self._log, hung_s) as watch:
             beats = [each.beat for each in (self._siblings, watch) if each is not None]
             beside = (self._watch_lateness(), self._look_after(), self._beat(beats))
             tasks = [asyncio.create_task(each) for each in beside]
             try:
-                with _few_lines(self.clock):
+                with _limit_lines(self.clock):
                     await self._server.serve()
             finally:
                 for task in tasks:
                     task.cancel()
 
     async def _look_after(self) -> None:
+        """Close scenes without viewers, bound memory, open tiles ahead, publish to siblings; see `Upkeep`."""
         for look in itertools.count():
             if look % _LOOKS == 0:
                 self._publish()
@@ -200,13 +203,14 @@ class Server:
                 beat()
             await asyncio.sleep(_BEAT_S)
 
-    def _note(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    def _log_asyncio_event(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """Log an event of asyncio in one bounded line, in place of its own log."""
         error = context.get("exception")
         why = context.get("message", "") + (f": {type(error).__name__}: {error}" if error is not None else "")
         self._log("failed", logging.ERROR, why=why)
 
     async def _watch_lateness(self) -> None:
+        """Measure how late the event loop runs, with the wait for a turn."""
         loop = asyncio.get_running_loop()
         while True:
             due = loop.time() + _LATE_S
@@ -260,6 +264,7 @@ class _Uvicorn(uvicorn.Server):
         self.started = True
 
     def _plain(self) -> Plain:
+        """Return the protocol of a new connection."""
         return Plain(self.config, self.server_state, {})
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
@@ -280,6 +285,7 @@ class _Uvicorn(uvicorn.Server):
 
 
 def _settings(app: Any, address: Address, message_bytes: int) -> uvicorn.Config:
+    """Return the settings of uvicorn, which leaves limits, deadlines and logs to us."""
     settings = uvicorn.Config(
         app,
         http=Plain,
@@ -303,7 +309,7 @@ def _settings(app: Any, address: Address, message_bytes: int) -> uvicorn.Config:
     return settings
 
 
-class _Few(logging.Filter):
+class _LineLimit(logging.Filter):
     """Limit the log lines a second, from any thread."""
 
     def __init__(self, clock: Clock) -> None:
@@ -318,9 +324,9 @@ class _Few(logging.Filter):
 
 
 @contextmanager
-def _few_lines(clock: Clock) -> Iterator[None]:
+def _limit_lines(clock: Clock) -> Iterator[None]:
     """Limit the log lines of asyncio and uvicorn, which peers can cause."""
-    filters = [(logging.getLogger(name), _Few(clock)) for name in ("asyncio", "uvicorn.error")]
+    filters = [(logging.getLogger(name), _LineLimit(clock)) for name in ("asyncio", "uvicorn.error")]
     for logger, few in filters:
         logger.addFilter(few)
     try:
@@ -375,4 +381,5 @@ def listen(address: Address) -> socket.socket:
 
 
 def _is_loopback(host: str) -> bool:
+    """Return whether an address is reachable from this machine only."""
     return host.startswith("127.") or host == "::1"

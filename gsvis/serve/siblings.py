@@ -31,7 +31,7 @@ _SUMMED = ("counter", "histogram")  # kinds of metrics that go on counting after
 
 
 @dataclass(frozen=True)
-class _Said:
+class _Report:
     """What a process wrote last."""
 
     number: int
@@ -62,7 +62,7 @@ class Siblings:
         self._age = age or _age_of
         self.beat = beat
         self.path = folder / f"process-{number}-{os.getpid()}.json"
-        self._others: list[_Said] = []
+        self._others: list[_Report] = []
 
     def publish(self, metrics: Metrics, seats: dict[str, int], health: tuple[int, int]) -> None:
         """Write what others need to know, and read what they wrote.
@@ -84,35 +84,36 @@ class Siblings:
 
     def seats_of(self, owner: str) -> tuple[int, int]:
         """Return how many viewers the other processes have, in all and of one address."""
-        found = [said.value["seats"] for said in self._living()]
+        found = [report.value["seats"] for report in self._living()]
         return sum(sum(seats.values()) for seats in found), sum(seats.get(owner, 0) for seats in found)
 
     def is_ahead(self, viewers: int) -> bool:
         """Return whether this process has more viewers than another one."""
-        return any(viewers > sum(said.value["seats"].values()) for said in self._living())
+        return any(viewers > sum(report.value["seats"].values()) for report in self._living())
 
     def text(self, metrics: Metrics) -> str:
         """Return the text of `/metrics` for all processes: sums, and for `process_*` a label `process`."""
         living = self._living()
         found = dict[str, _Family]()
         _add(found, _families_of(metrics), self.number, is_alive=True)
-        for said in self._others:
-            _add(found, said.value["families"], said.number, is_alive=said in living)
+        for report in self._others:
+            _add(found, report.value["families"], report.number, is_alive=report in living)
         return prometheus_client.generate_latest(_Merged(found.values())).decode()
 
-    def _read(self) -> Iterator[_Said]:
+    def _read(self) -> Iterator[_Report]:
+        """Yield what the other processes wrote; skip files that cannot be read."""
         for path in sorted(self.folder.glob("process-*.json")):
             if path == self.path:
                 continue
             with suppress(OSError, ValueError, FormatError):
-                yield _Said(int(path.name.split("-")[1]), self._age(path), json.loads(read_whole(path)))
+                yield _Report(int(path.name.split("-")[1]), self._age(path), json.loads(read_whole(path)))
 
-    def _living(self) -> list[_Said]:
-        """Return what the other processes said that live: for each number the newest, unless it is old."""
-        newest: dict[int, _Said] = {}
-        for said in sorted(self._others, key=lambda each: -each.age_s):
-            if said.number != self.number and said.age_s < _STALE_S:
-                newest[said.number] = said
+    def _living(self) -> list[_Report]:
+        """Return the reports of the other processes that live: for each number the newest, unless it is old."""
+        newest: dict[int, _Report] = {}
+        for report in sorted(self._others, key=lambda each: -each.age_s):
+            if report.number != self.number and report.age_s < _STALE_S:
+                newest[report.number] = report
         return list(newest.values())
 
 
@@ -132,6 +133,8 @@ class _Family:
 
 
 class _Merged(CollectorRegistry):
+    """A registry of families that are summed already."""
+
     def __init__(self, families: Iterable[_Family]) -> None:
         super().__init__()
         self._families = list(families)
@@ -165,4 +168,5 @@ def _add(found: dict[str, _Family], families: list[Any], number: int, *, is_aliv
 
 
 def _age_of(path: Path) -> float:
+    """Return the seconds since a file was written."""
     return time.time() - path.stat().st_mtime

@@ -92,6 +92,7 @@ class Site:
             raise
 
     def _answer(self, request: Request, source: BinaryIO, name: str, private: bool) -> Response:
+        """Answer with an open file, which is closed at the end."""
         state = os.fstat(source.fileno())
         tag = f'"{state.st_mtime_ns:x}-{state.st_size:x}"'
         headers = {"accept-ranges": "bytes", "etag": tag, "x-content-type-options": "nosniff"}
@@ -107,6 +108,7 @@ class Site:
 
 
 async def _pieces(source: BinaryIO, start: int, stop: int) -> AsyncIterator[bytes]:
+    """Yield the bytes of a file from `start` to `stop`, piece by piece; close the file."""
     with source:
         source.seek(start)
         while start < stop:

@@ -141,6 +141,7 @@ class Readings:
             self._call_later()
 
     def _run(self) -> None:
+        """Read for the time of a turn."""
         end = self._measure() + _TURN_S
         try:
             while self._waiting:
@@ -152,6 +153,7 @@ class Readings:
                 self._call_later()
 
     def _call_later(self) -> None:
+        """Run again in a later turn of the loop."""
         (self._call or asyncio.get_running_loop().call_soon)(self._run)
 
     def _read_for_a_while(self) -> None:

@@ -1,8 +1,8 @@
 """What a server does beside its viewers: close scenes without viewers, bound the memory of tables, open tiles ahead.
 
 Tables are memory-mapped, so their memory can be given back at any time; a page that is touched again comes from the
-file, which the system mostly still has in its cache. Tiles of worlds that nobody is near go first, then scenes without
-viewers, those used longest ago before others.
+file, which the system mostly still has in its cache. Tiles of worlds without viewers near them go first, then scenes
+without viewers, the least recently used first.
 """
 
 from __future__ import annotations
@@ -111,4 +111,5 @@ class Upkeep:
         touched.update(near)
 
     def _excess(self) -> int:
+        """Return the bytes of tables in memory."""
         return max(0, self._resident() - self._base)

@@ -387,7 +387,7 @@ def test_without_descriptors_it_says_so_once_makes_room_and_goes_on(
 ) -> None:
     left = [40]
     waiting: list[int] = []
-    accept = Door._next
+    accept = Door._accept_one
 
     def failing(door: Door) -> object:
         if waiting and left[0] > 0:
@@ -395,7 +395,7 @@ def test_without_descriptors_it_says_so_once_makes_room_and_goes_on(
             raise OSError(errno.EMFILE, "Too many open files")
         return accept(door)
 
-    monkeypatch.setattr(Door, "_next", failing)
+    monkeypatch.setattr(Door, "_accept_one", failing)
     monkeypatch.setattr("gsvis.serve._door._LONGEST_PAUSE_S", 0.06)
     with caplog.at_level(logging.INFO), serving(plain) as server, crowd(3, lambda _: plain_socket(server)) as many:
         until(lambda: len(phases(server)) == 3)

@@ -22,7 +22,7 @@ from starlette.responses import PlainTextResponse
 from gsvis.serve import Limits, ManualClock, Server
 from gsvis.serve._addresses import Proxies
 from gsvis.serve._door import Door
-from gsvis.serve._guard import Guard, Means, Phase
+from gsvis.serve._guard import Guard, Phase, Shared
 from gsvis.serve._log import EventLog
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.turns import Readings
@@ -55,13 +55,13 @@ class Silent:
     def data_received(self, data: bytes) -> None: ...
 
 
-def house(limits: Limits) -> tuple[Door, Means]:
+def house(limits: Limits) -> tuple[Door, Shared]:
     """A door that nobody has opened; each slice of a burst takes long, so that it has a turn of the loop for itself."""
-    means = Means(limits, ManualClock(), EventLog(), Metrics(), Readings(itertools.count().__next__))
+    means = Shared(limits, ManualClock(), EventLog(), Metrics(), Readings(itertools.count().__next__))
     return Door(None, means, Silent, Proxies()), means  # type: ignore[arg-type]
 
 
-def guard_of(door: Door, means: Means, address: str, phase: Phase, unsent: int = 0) -> tuple[Guard, FakeTransport]:
+def guard_of(door: Door, means: Shared, address: str, phase: Phase, unsent: int = 0) -> tuple[Guard, FakeTransport]:
     """A guard behind a door, in a phase."""
     sock = socket.socket()
     sock.close()  # its options cannot be set, which a guard bears
@@ -126,7 +126,7 @@ def test_a_newcomer_costs_few_looks_at_addresses(monkeypatch: pytest.MonkeyPatch
             guard_of(door, means, f"2001:db8:0:{k:x}::1", Phase.IDLE)
         monkeypatch.setattr(ipaddress, "ip_address", counted)
         newcomer, _ = guard_of(door, means, "2001:db8:1::1", Phase.ASKING)
-        door._crowd(newcomer)
+        door._enforce_limits(newcomer)
         assert sum(guard.phase.has_ended for guard in door.guards) == 1
         assert 0 < len(parsed) < 5
 
@@ -136,7 +136,7 @@ def test_a_newcomer_costs_few_looks_at_addresses(monkeypatch: pytest.MonkeyPatch
 def test_an_address_said_by_a_proxy_changes_the_owner() -> None:
     def test() -> None:
         limits = limits_of()
-        means = Means(limits, ManualClock(), EventLog(), Metrics())
+        means = Shared(limits, ManualClock(), EventLog(), Metrics())
         door = Door(None, means, Silent, Proxies(("127.0.0.1",)))  # type: ignore[arg-type]
         guard, _ = guard_of(door, means, "127.0.0.1", Phase.ASKING)
         assert guard.client.owner == "127.0.0.1"
@@ -152,7 +152,7 @@ def test_a_newcomer_never_gives_way_to_itself(limits: Limits) -> None:
         door, means = house(limits)
         others = [guard_of(door, means, "10.0.0.1", Phase.ANSWERING)[0] for _ in range(3)]
         newcomer, _ = guard_of(door, means, "10.0.0.1", Phase.ASKING)
-        door._crowd(newcomer)
+        door._enforce_limits(newcomer)
         assert [guard.phase.has_ended for guard in (*others, newcomer)] == [True, False, False, False]
         assert means.metrics.cut.value("gives way to others") == 1
 
@@ -166,7 +166,7 @@ def test_an_idle_connection_gives_way_before_an_older_download(phase: Phase) -> 
         download, _ = guard_of(door, means, "10.0.0.1", phase, unsent=1000)
         idle, _ = guard_of(door, means, "10.0.0.2", Phase.IDLE)
         newcomer, _ = guard_of(door, means, "10.0.0.3", Phase.ASKING)
-        door._crowd(newcomer)
+        door._enforce_limits(newcomer)
         assert [guard.phase.has_ended for guard in (download, idle, newcomer)] == [False, True, False]
 
     run(test)
