@@ -27,7 +27,15 @@ LARGE_OBJECTS = {
     "scene/inspection.py:SceneReport": 19,
     "train/config.py:TrainConfig": 16,
 }
-"""Objects that have more attributes still: how many they may have."""
+"""Objects that have more attributes still: how many they may have. All are frozen: nothing changes together in them.
+
+Work: arrays of a kernel, by name.
+AbrConfig, TrainConfig: settings that users set one by one, by keyword. Groups would change the keys of checkpoints and
+    of results in JSON.
+SceneIndex: columns of tables; the names are those of files of kept tables.
+Quality, SceneReport: results that users read one by one; the names are those in JSON, of `gsvis pvs-report` and
+    `gsvis inspect`.
+"""
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
