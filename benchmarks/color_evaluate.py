@@ -36,7 +36,7 @@ def scene(n: int, rng: np.random.Generator) -> Gaussians:
 def terms(name: str, counts: np.ndarray, rng: np.random.Generator) -> SrbfColors:
     kind, n, total = variant(name), len(counts), int(counts.sum())
     return SrbfColors(
-        name, rng.uniform(0.2, 0.8, (n, 3)), np.ones(n), np.zeros((n, kind.num_axes, 3)),
+        name, rng.uniform(0.2, 0.8, (n, 3)), np.ones(n),
         np.concatenate([[0], np.cumsum(counts)]), rng.integers(0, len(kind.functions), total),
         np.stack([np.arccos(rng.uniform(-1, 1, total)), rng.uniform(-np.pi, np.pi, total)], axis=1),
         np.exp(rng.uniform(0, 3, total)), rng.normal(scale=0.1, size=(total, kind.intensities)),

@@ -5,7 +5,7 @@ drawn from seed 7 in navigable space) see; what a Gaussian counts comes from the
 (640 x 480, seed 99) draw the SH scene and the SRBF scene; PSNR is that of the images as they are, not clipped above,
 mean over cameras. "wire" colors are rounded to the records that travel, whose size is counted before entropy coding.
 The ceiling of a variant is what its space can say at all: exact functions of direction in place of terms, base colors
-and axes as fitted.
+as fitted.
 
 Given: a scene, the number of terms asked for, direction sets and importance from fitting cameras.
 Measured: PSNR of held-out cameras, bytes of the records.
@@ -21,21 +21,19 @@ from typing import Any
 import numpy as np
 from _harness import add_arguments, realdata, write_result
 from numpy.typing import NDArray
+from paper.held import HELD, HeldColors, fit_held
 
 from gsvis.color import (
-    VARIANTS,
     FitConfig,
     SrbfColors,
     fit_srbf,
     hsl_to_rgb,
-    hsv_to_rgb,
     quantize,
     record_bytes,
     rgb_to_hsl,
     save_srbf,
     sh_bytes,
     sh_colors,
-    yuv_to_rgb,
 )
 from gsvis.io import load_scene
 from gsvis.prepare.importance import importance_from_views
@@ -52,8 +50,8 @@ LEVELS = (34.0, 37.0, 40.0, 43.0, 46.0)
 FEW = ((0.5, 8), (2.0, 8))
 POINTS = {
     "rgb": ((0.5, 8), (1.0, 8), (2.0, 8), (4.0, 8), (7.0, 12)),
-    **dict.fromkeys(("axes-split", "axes", "axis", "hsl"), FEW),
-    **dict.fromkeys(("hsl-l", "hsv", "yuv"), FEW[:1]),
+    "hsl": FEW,
+    **dict.fromkeys(HELD, FEW[:1]),
 }
 """Mean and most terms asked for; points after one of at least 43 dB are left out."""
 Images = NDArray[np.float32]
@@ -65,38 +63,34 @@ def psnr_of(images: Images, reference: Images) -> NDArray[np.float64]:
     return np.asarray(-10.0 * np.log10(np.maximum(squared, 1e-10)))  # 100 dB is the same
 
 
-def ceiling(g: Gaussians, colors: SrbfColors, cameras: Cameras) -> Images:
-    """Images of what a variant could show at best: exact functions of direction, its base colors and axes."""
-    kind = VARIANTS[colors.variant]
+def ceiling(g: Gaussians, colors: SrbfColors | HeldColors, cameras: Cameras) -> Images:
+    """Images of what a variant could show at best: exact functions of direction, its base colors."""
     shown = []
     for eye in cameras.viewpoints:
-        exact = sh_colors(g, eye).astype(np.float64)
-        scale = np.maximum(colors.scales, exact.max(axis=1))[:, None] if kind.space in ("hsl", "hsv") else 1.0
-        base, unit = colors.base.astype(np.float64), exact / scale
-        if kind.name == "hsl":
-            hsl = rgb_to_hsl(np.clip(unit, 0, 1))
-            rgb = hsl_to_rgb(np.stack([base[:, 0], hsl[:, 1], hsl[:, 2]], axis=1))
-        elif kind.space in ("hsl", "hsv"):  # the nearest of 257 lightnesses or values
-            to_rgb = hsl_to_rgb if kind.space == "hsl" else hsv_to_rgb
-            rgb, least = np.zeros_like(unit), np.full(len(unit), np.inf)
-            for level in np.linspace(0, 1, 257):
-                tried = to_rgb(np.stack([base[:, 0], base[:, 1], np.full(len(base), level)], axis=1))
-                error = np.square(tried - unit).sum(axis=1)
-                rgb, least = np.where((error < least)[:, None], tried, rgb), np.minimum(error, least)
-        elif kind.space == "yuv":
-            held = yuv_to_rgb(np.stack([np.zeros(len(base)), base[:, 1], base[:, 2]], axis=1))
-            rgb = held + (unit - held).mean(axis=1, keepdims=True)
-        elif kind.num_axes:
-            away = unit - base
-            rgb = base + np.einsum("nk,nkc->nc", np.einsum("nc,nkc->nk", away, colors.axes), colors.axes)
-        else:
-            rgb = unit
-        shown.append(np.maximum(rgb * scale, 0.0).astype(np.float32))
+        exact = sh_colors(g, eye)
+        if isinstance(colors, HeldColors):
+            exact = colors.nearest(exact)
+        elif colors.variant == "hsl":
+            scale = np.maximum(colors.scales, exact.max(axis=1))[:, None]
+            hsl = rgb_to_hsl(np.clip(exact / scale, 0, 1))
+            hsl[:, 0] = colors.base[:, 0]
+            exact = np.asarray(hsl_to_rgb(hsl) * scale, np.float32)
+        shown.append(exact)
     return rasterize(g, cameras, colors=np.stack(shown)).images
+
+
+def drawn(g: Gaussians, colors: SrbfColors | HeldColors, cameras: Cameras) -> Images:
+    """Images of the Gaussians in these colors."""
+    if isinstance(colors, SrbfColors):
+        return rasterize(g, cameras, colors=colors).images
+    return rasterize(g, cameras, colors=np.stack([colors.colors(g.means, eye) for eye in cameras.viewpoints])).images
 
 
 def bytes_at(rows: list[dict[str, Any]], psnr: float) -> float | None:
     """Bytes a Gaussian at which a variant reaches a PSNR, linear between its points; None if outside of them."""
+    rows = [row for row in rows if "wire_psnr" in row]
+    if not rows:
+        return None
     x, y = (np.array([row[key] for row in rows]) for key in ("bytes_per_gaussian", "wire_psnr"))
     order = np.argsort(x)
     x, y = x[order], np.maximum.accumulate(y[order])
@@ -127,13 +121,14 @@ def main() -> None:
         for mean_terms, most in points:
             if any(row["psnr"] >= 43.0 for row in curves[name]) and mean_terms > 2.0:
                 continue
-            fit = fit_srbf(
-                g, sets, FitConfig(variant=name, mean_terms=mean_terms, max_terms=most), importance=views.importance
-            )
-            colors = fit.colors
-            images = rasterize(g, held_out, colors=colors).images
-            wire = rasterize(g, held_out, colors=quantize(colors, "wire").dequantize()).images
-            exact, rounded = psnr_of(images, reference), psnr_of(wire, reference)
+            colors: SrbfColors | HeldColors
+            if name in HELD:
+                colors = fit_held(g, sets, name, mean_terms, most, views.importance)
+            else:
+                config = FitConfig(variant=name, mean_terms=mean_terms, max_terms=most)
+                colors = fit_srbf(g, sets, config, importance=views.importance).colors
+            images = drawn(g, colors, held_out)
+            exact = psnr_of(images, reference)
             counts = colors.counts
             row = {
                 "asked": mean_terms,
@@ -141,21 +136,23 @@ def main() -> None:
                 "mean_terms": float(counts.mean()),
                 "psnr": float(exact.mean()),
                 "worst_psnr": float(exact.min()),
-                "wire_psnr": float(rounded.mean()),
-                "bytes_per_gaussian": record_bytes(colors) / len(g),
                 "share_with_terms": float((counts > 0).mean()),
                 "of_those_with_1_to_4": float((counts[counts > 0] <= 4).mean()) if counts.any() else 1.0,
             }
+            if isinstance(colors, SrbfColors):  # records hold no others
+                wire = drawn(g, quantize(colors, "wire").dequantize(), held_out)
+                row["wire_psnr"] = float(psnr_of(wire, reference).mean())
+                row["bytes_per_gaussian"] = record_bytes(colors) / len(g)
             if mean_terms == 2.0:  # FLIP takes seconds an image
                 row["ssim"] = float(np.mean(ssim(images.clip(0, 1), reference.clip(0, 1))))
                 row["flip"] = float(np.mean(flip(images.clip(0, 1), reference.clip(0, 1))))
             curves[name].append(row)
             print(name, {key: round(value, 3) for key, value in row.items()}, flush=True)
-            if arguments.colors and name in ("rgb", "axes-split") and mean_terms == 2.0:
+            if arguments.colors and name == "rgb" and mean_terms == 2.0:
                 save_srbf(arguments.colors / f"{arguments.scene}-{name}.srbf.arrow", g, colors)
         ceilings[name] = float(psnr_of(ceiling(g, colors, held_out), reference).mean())
         print(name, "ceiling", round(ceilings[name], 2), flush=True)
-        if name == "rgb":
+        if name == "rgb" and isinstance(colors, SrbfColors):
             base = rasterize(g, held_out, colors=colors.first(0)).images
         report(arguments, g, curves, ceilings, float(psnr_of(base, reference).mean()))  # so far
 

@@ -85,7 +85,7 @@ def draw() -> tuple[Callable[[], object], Callable[[], object], tuple[object, ..
 def evaluate() -> tuple[Callable[[], object], Callable[[], object], tuple[object, ...]]:
     """Centers that can be written and that cannot."""
     rng = np.random.default_rng(0)
-    maker, means = Evaluator(random_colors(rng, 20, "axes")), rng.normal(size=(20, 3)).astype(np.float32)
+    maker, means = Evaluator(random_colors(rng, 20, "hsl")), rng.normal(size=(20, 3)).astype(np.float32)
     (fixed,) = _check.read_only(means)
     eye = np.zeros(3)
     return lambda: maker.colors(means, eye), lambda: maker.colors(fixed, eye), (_kernels_srbf.colors_from_eye.kernel,)

@@ -68,7 +68,7 @@ APART = {
         "gsvis.package.parts:PartFolder.remove_all_but",
         "gsvis.package.parts:PartFolder.write_bytes",
         "gsvis.package.parts:PartFolder.write_columns",
-        "gsvis.stream.batch:Sections._ids",
+        "gsvis.stream.batch:Sections._encode_ids",
         "gsvis.stream.batch:Sections.to_message",
         "gsvis.stream.coding:Coding.encode_records",
         "gsvis.stream.coding:Coding.encode_terms",
@@ -133,7 +133,6 @@ APART = {
         "gsvis.jobs.resume:KeptWork._lock",
     ],
     "no reader": [
-        "gsvis.jobs.crew:Crew",
         "gsvis.jobs.graph:_Run",
         "gsvis.jobs.graph:_check_worker",
         "gsvis.jobs.graph:_perform",

@@ -263,12 +263,8 @@ class PvsReport:
 
 @dataclass(frozen=True, kw_only=True)
 class AnyFit(Fit):
-    """How colors are fitted, in any variant."""
+    """How colors are fitted, and with how much effort."""
 
-    variant: Annotated[Literal["hsl", "hsl-l", "hsv", "yuv", "axis", "axes", "axes-split", "rgb"], readers.PLAIN] = (
-        "rgb"
-    )
-    """How colors are split; the first four are the paper's. (default: rgb)"""
     no_refine: Flag = False
     """Leave terms on the grid that they are chosen from: quicker, and worse."""
 

@@ -42,8 +42,6 @@ class MendedSets(Sets):
 class FilteredFit(Fit):
     """How colors of a package are fitted, and which terms are sent."""
 
-    variant: Annotated[Literal["rgb", "hsl"], readers.PLAIN] = "rgb"
-    """How colors are split. (default: rgb)"""
     epsilon: Annotated[float | None, readers.CHANGE, hint("0.02")] = None
     """Smallest change of a color for which a term is sent; gsvis color --epsilon auto finds it for a scene."""
 

@@ -197,6 +197,8 @@ class Levels:
 class Fit:
     """How colors are fitted: `gsvis.color.fit.FitConfig`."""
 
+    variant: Annotated[Literal["rgb", "hsl"], readers.PLAIN] = "rgb"
+    """How colors are split; hsl is the paper's way. (default: rgb)"""
     max_terms: Annotated[int | None, readers.TERMS, hint("24")] = None
     """Most terms of each function of a Gaussian; 0 leaves base colors alone."""
     mean_terms: Annotated[float | None, readers.MEAN_TERMS, hint("3")] = None

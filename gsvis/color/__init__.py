@@ -30,20 +30,7 @@ from gsvis.color.records import (
     sh_bytes,
 )
 from gsvis.color.sh import sh_colors, sh_colors_along, towards_gaussian
-from gsvis.color.spaces import (
-    hsl_to_rgb,
-    hsv_to_rgb,
-    hue_vector,
-    rgb_by_hsl_lightness,
-    rgb_by_hsl_saturation,
-    rgb_by_hsv_saturation,
-    rgb_by_hsv_value,
-    rgb_by_yuv_luma,
-    rgb_to_hsl,
-    rgb_to_hsv,
-    rgb_to_yuv,
-    yuv_to_rgb,
-)
+from gsvis.color.spaces import hsl_to_rgb, rgb_to_hsl
 from gsvis.color.srbf import SrbfColors, spherical_coordinates, srbf, unit_vectors
 from gsvis.color.storage import SrbfInfo, load_srbf, save_srbf, srbf_info
 from gsvis.color.to_sh import FittedSh, to_sh
@@ -87,21 +74,12 @@ __all__ = [
     "evaluate_along",
     "fit_srbf",
     "hsl_to_rgb",
-    "hsv_to_rgb",
-    "hue_vector",
     "load_srbf",
     "orthogonal_matching_pursuit",
     "quantize",
     "record_bytes",
     "replay",
-    "rgb_by_hsl_lightness",
-    "rgb_by_hsl_saturation",
-    "rgb_by_hsv_saturation",
-    "rgb_by_hsv_value",
-    "rgb_by_yuv_luma",
     "rgb_to_hsl",
-    "rgb_to_hsv",
-    "rgb_to_yuv",
     "save_srbf",
     "sh_bytes",
     "sh_colors",
@@ -114,7 +92,6 @@ __all__ = [
     "towards_gaussian",
     "unit_vectors",
     "variant",
-    "yuv_to_rgb",
 ]
 
 

@@ -28,7 +28,6 @@ class Terms:
 
     base: F32
     scales: F32
-    axes: F32
     counts: NDArray[np.int64]
     functions: NDArray[np.uint8]
     centers: F32
@@ -43,7 +42,7 @@ class Terms:
         z = np.zeros
         f32 = np.float32
         return cls(
-            z((0, 3), f32), z(0, f32), z((0, kind.num_axes, 3), f32), z(0, np.int64), z(0, np.uint8), z((0, 2), f32),
+            z((0, 3), f32), z(0, f32), z(0, np.int64), z(0, np.uint8), z((0, 2), f32),
             z(0, f32), z((0, kind.intensities), f32), z(0, f32), z(0, f32),
         )  # fmt: skip
 
@@ -64,9 +63,8 @@ def assemble(config: FitConfig, fitted: SplitFit, directions: F32) -> Terms:
     v = np.stack([lobe.v for lobe in lobes])
     order = np.tile(np.arange(most), (n, 1))
     kept = counts[0]
-    amplitudes = np.stack([_amplitudes(kind, fitted, f, lobe) for f, lobe in enumerate(lobes)])
-    linear = kind.space in ("rgb", "yuv") and len(lobes) == 1
-    if not linear:
+    amplitudes = np.stack([_amplitudes(kind, f, lobe) for f, lobe in enumerate(lobes)])
+    if kind.space != "rgb":
         order = np.zeros((n, len(lobes) * most), np.int64)
         kept = np.zeros(n, np.int64)
         order_lobes(
@@ -89,19 +87,16 @@ def assemble(config: FitConfig, fitted: SplitFit, directions: F32) -> Terms:
         order, kept, base_errors, errors,
     )  # fmt: skip
     return Terms(
-        split.base, split.scales, split.axes, kept.astype(np.int64), function.astype(np.uint8),
+        split.base, split.scales, kept.astype(np.int64), function.astype(np.uint8),
         spherical_coordinates(moved).astype(np.float32), decays.astype(np.float32),
         np.asarray(intensities / units[:, None], np.float32), base_errors, errors,
     )  # fmt: skip
 
 
-def _amplitudes(kind: Variant, fitted: SplitFit, function: int, lobe: LobeFit) -> F32:
+def _amplitudes(kind: Variant, function: int, lobe: LobeFit) -> F32:
     """Return (n, K, 3), the amounts that each lobe adds in the variant's space."""
-    if kind.components:
-        added = np.zeros((*lobe.intensities.shape[:2], 3), np.float32)
-        added[:, :, kind.components[function]] = lobe.intensities[:, :, 0]
-        return added
-    if kind.num_axes == 0:
+    if not kind.components:
         return lobe.intensities
-    axes = fitted.split.axes if kind.intensities > 1 else fitted.split.axes[:, function : function + 1]
-    return np.asarray(np.matmul(lobe.intensities, axes))
+    added = np.zeros((*lobe.intensities.shape[:2], 3), np.float32)
+    added[:, :, kind.components[function]] = lobe.intensities[:, :, 0]
+    return added

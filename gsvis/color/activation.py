@@ -167,7 +167,7 @@ def contributions(colors: SrbfColors, means: ArrayLike, eye: ArrayLike) -> F32:
     """Compute how much each term changes the color that an eye sees.
 
     If terms add in RGB, it is the largest amplitude times the lobe, G(x; c, lambda): the change before negative colors
-    are clipped, hence an upper bound. In HSL, HSV and YUV it is the largest difference between the final colors with
+    are clipped, hence an upper bound. In HSL it is the largest difference between the final colors with
     and without this term.
 
     Args:
@@ -197,7 +197,7 @@ def active(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, epsilon: float)
         epsilon: Change of color above which a term is active, >= 0.
 
     Examples:
-        >>> lobe = SrbfColors("rgb", [[0.5, 0.5, 0.5]], [1], np.zeros((1, 0, 3)), [0, 1], [0],
+        >>> lobe = SrbfColors("rgb", [[0.5, 0.5, 0.5]], [1], [0, 1], [0],
         ...                   [[0, 0]], [10.0], [[0.2, 0, 0]])
         >>> [bool(active(lobe, [[0, 0, 0]], eye, 0.01)[0]) for eye in ([0, 0, -1], [1, 0, 0], [0, 0, 1])]
         [True, False, False]
@@ -214,9 +214,8 @@ def _change_bounds(colors: SrbfColors, amplitudes: F32) -> F64:
     """Return (T,) bounds on the change of a channel per unit of the lobe.
 
     With S and L in [0, 1] a channel of HSL is L - S min(L, 1 - L) w, |w| <= 1: its slope by L is at most 1 + S, its
-    slope by S at most min(L, 1 - L). A channel of HSV is V (1 - S w), 0 <= w <= 1: slope at most 1 by V. Luma changes
-    all channels equally. The possible values of S and L follow from the signs of the amplitudes, because lobes lie in
-    (0, 1].
+    slope by S at most min(L, 1 - L). The possible values of S and L follow from the signs of the amplitudes, because
+    lobes lie in (0, 1].
     """
     sizes = np.abs(amplitudes.astype(np.float64))
     kind = colors.kind
@@ -224,8 +223,6 @@ def _change_bounds(colors: SrbfColors, amplitudes: F32) -> F64:
     if kind.space == "rgb":
         return np.asarray(sizes.max(axis=1, initial=0.0))
     scaled = colors.scales.astype(np.float64)[ids]
-    if kind.space != "hsl":
-        return np.asarray(scaled * sizes.max(axis=1, initial=0.0))
     base = colors.base.astype(np.float64)
 
     def bound(component: int, sign: float) -> F64:

@@ -1,7 +1,7 @@
 """Evaluate SRBF colors of all Gaussians from one eye, or of each along shared directions.
 
 A color is its base plus its terms in the variant's space, converted to RGB. It is clipped below at 0, and never above,
-except that HSL and HSV limit saturation, lightness and value to [0, 1] before rescaling. Directions run from the eye to
+except that HSL limits saturation and lightness to [0, 1] before rescaling. Directions run from the eye to
 the Gaussian. `gsvis.color.reference` is the plain twin.
 """
 
@@ -138,7 +138,7 @@ def evaluate(colors: Any, means: Any, eye: Any, *, active: Any = None) -> Any:
         SRBF-Gaussian, equations 2 and 3.
 
     Examples:
-        >>> lobe = SrbfColors("rgb", [[0.5, 0.5, 0.5]], [1], np.zeros((1, 0, 3)), [0, 1], [0],
+        >>> lobe = SrbfColors("rgb", [[0.5, 0.5, 0.5]], [1], [0, 1], [0],
         ...                   [[0, 0]], [10.0], [[0.2, 0, 0]])
         >>> [evaluate(lobe, [[0, 0, 0]], eye)[0].round(3).tolist() for eye in ([0, 0, -1], [0, 0, 1])]
         [[0.7, 0.5, 0.5], [0.5, 0.5, 0.5]]

@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from gsvis import _check
-from gsvis.color.spaces import hsl_to_rgb, hsv_to_rgb, yuv_to_rgb
+from gsvis.color.spaces import hsl_to_rgb
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.variants import Variant, variant
 
 __all__ = ["SrbfTensors", "evaluate_torch"]
 
-_FLOATS = ("base", "scales", "axes", "centers", "decays", "intensities")
+_FLOATS = ("base", "scales", "centers", "decays", "intensities")
 _INTEGERS = ("offsets", "functions")
 
 
@@ -34,7 +34,6 @@ class SrbfTensors:
         variant: One of `VARIANTS`.
         base: (N, 3) base colors in the variant's space.
         scales: (N,) > 0; divisor that fits RGB into its space.
-        axes: (N, num_axes, 3) RGB directions along which terms move the color.
         offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1].
         functions: (T,) int64, index into the variant's functions.
         centers: (T, 2) polar angle and azimuth of the center, radians.
@@ -48,7 +47,6 @@ class SrbfTensors:
     variant: str
     base: Tensor
     scales: Tensor
-    axes: Tensor
     offsets: Tensor
     functions: Tensor
     centers: Tensor
@@ -59,7 +57,7 @@ class SrbfTensors:
         kind = variant(self.variant)
         n = len(self.base)
         t = len(self.functions)
-        shapes = ((n, 3), (n,), (n, kind.num_axes, 3), (t, 2), (t,), (t, kind.intensities), (n + 1,), (t,))
+        shapes = ((n, 3), (n,), (t, 2), (t,), (t, kind.intensities), (n + 1,), (t,))
         for name, shape in zip(_FLOATS + _INTEGERS, shapes, strict=True):
             value = getattr(self, name)
             want = torch.int64 if name in _INTEGERS else self.base.dtype
@@ -85,7 +83,7 @@ class SrbfTensors:
             colors: The colors.
             dtype: A float type; the colors hold float32.
             device: Device of the tensors.
-            requires_grad: Whether base, axes, centers, decays and intensities collect gradients; scales do not.
+            requires_grad: Whether base, centers, decays and intensities collect gradients; scales do not.
         """
         fields = {
             name: torch.tensor(
@@ -139,16 +137,11 @@ class SrbfTensors:
     def amplitudes(self) -> Tensor:
         """Return (T, 3) what each term adds to the base, in the variant's space, where its SRBF is 1."""
         kind = self.kind
-        ids = self.gaussian_ids
-        if kind.components:
-            component = torch.tensor(kind.components, device=self.base.device)[self.functions]
-            chosen = torch.nn.functional.one_hot(component, 3).to(self.base)
-            return self.intensities * self.base[ids] * chosen
-        if kind.num_axes == 0:
+        if not kind.components:
             return self.intensities
-        if kind.intensities == 1:
-            return self.intensities * self.axes[ids, self.functions]
-        return torch.einsum("ti,tic->tc", self.intensities, self.axes[ids])
+        component = torch.tensor(kind.components, device=self.base.device)[self.functions]
+        chosen = torch.nn.functional.one_hot(component, 3).to(self.base)
+        return self.intensities * self.base[self.gaussian_ids] * chosen
 
 
 def evaluate_torch(
@@ -205,12 +198,7 @@ def _unit_vectors(coordinates: Tensor) -> Tensor:
 
 def _to_rgb(colors: SrbfTensors, values: Tensor) -> Tensor:
     """Return RGB of (N, 3) values in the variant's space."""
-    space = colors.kind.space
-    if space == "rgb":
+    if colors.kind.space == "rgb":
         return values.clamp(min=0.0)
-    if space == "yuv":
-        rgb = yuv_to_rgb(values).clamp(min=0.0)
-    else:
-        limited = torch.cat([values[:, :1], values[:, 1:].clamp(0.0, 1.0)], dim=1)
-        rgb = hsl_to_rgb(limited) if space == "hsl" else hsv_to_rgb(limited)
-    return rgb * colors.scales[:, None]
+    limited = torch.cat([values[:, :1], values[:, 1:].clamp(0.0, 1.0)], dim=1)
+    return hsl_to_rgb(limited) * colors.scales[:, None]

@@ -143,8 +143,7 @@ def fit_srbf(
     """Fit base colors and SRBF terms that replace the SH colors of a scene.
 
     Colors below 0 count as 0, as displayed; colors above 1 count in full. Along the order of its terms the mean squared
-    RGB error of a Gaussian over its visible directions never rises (for variants in RGB or YUV: before colors are
-    clipped at 0).
+    RGB error of a Gaussian over its visible directions never rises (in RGB: before colors are clipped at 0).
 
     Args:
         g: N Gaussians.
@@ -271,7 +270,6 @@ def _join(config: FitConfig, parts: list[Terms], price: float, unseen: int) -> S
         config.variant,
         join("base"),
         join("scales"),
-        join("axes"),
         np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)]),
         np.concatenate([part.functions for part in parts]),
         join("centers"),

@@ -5,12 +5,10 @@ A few parameters define a table. A table holds its ends exactly and is all a dec
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["bend", "circle", "compand", "geometric", "middles", "nearest", "octahedral", "unoctahedral"]
+__all__ = ["bend", "circle", "compand", "geometric", "middles", "nearest"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -81,27 +79,3 @@ def middles(table: F32) -> F64:
 def nearest(values: ArrayLike, table: F32) -> U16:
     """Return the index of the nearest entry of an ascending table for each value, the lower one of a tie."""
     return np.asarray(np.searchsorted(middles(table), np.asarray(values, np.float64)), np.uint16)
-
-
-def octahedral(vectors: NDArray[np.floating[Any]], bits: int) -> U16:
-    """Return unit vectors (..., 3) as two integers of `bits` bits (..., 2): cells of the unfolded octahedron.
-
-    References:
-        Cigolle et al., "A survey of efficient representations for independent unit vectors", JCGT 2014.
-    """
-    v = np.asarray(vectors, np.float64)
-    v = v / np.maximum(np.abs(v).sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
-    xy = v[..., :2]
-    below = v[..., 2:] < 0
-    folded = (1.0 - np.abs(xy[..., ::-1])) * np.where(xy < 0, -1.0, 1.0)
-    cells = np.floor((np.where(below, folded, xy) + 1.0) * (1 << bits) / 2.0)
-    return np.asarray(np.clip(cells, 0, (1 << bits) - 1), np.uint16)
-
-
-def unoctahedral(cells: NDArray[np.integer[Any]], bits: int) -> F32:
-    """Return (..., 3) unit vectors at the centers of the cells of `octahedral`."""
-    xy = (cells.astype(np.float64) + 0.5) * 2.0 / (1 << bits) - 1.0
-    z = 1.0 - np.abs(xy).sum(axis=-1, keepdims=True)
-    unfolded = (1.0 - np.abs(xy[..., ::-1])) * np.where(xy < 0, -1.0, 1.0)
-    v = np.concatenate([np.where(z < 0, unfolded, xy), z], axis=-1)
-    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True), np.float32)

@@ -38,7 +38,7 @@ Range = tuple[float, float]
 INTENSITY_FLOOR = 0.1
 """Size of an intensity above which its steps grow with it."""
 BASE_KNEE = 0.5
-"""Half the width of the interval in which base colors have even steps: [0, 1], or [-1/2, 1/2] for U and V."""
+"""Half the width of the interval in which base colors have even steps, [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Precision:
         name: Name for reports.
         base: Bits of each component of a base color.
         scale: Bits of the scale of a Gaussian, in variants that have one.
-        axis: Bits of each of the two octahedral coordinates of an axis.
+        axis: Bits of a color axis. No variant has axes; packages and streams of version 3 state the number.
         center: Bits of the polar angle of a term's center. The azimuth has one more, which gives the least mean error.
         decay: Bits of the decay of a term.
         intensity: Bits of each intensity of a term.
@@ -85,8 +85,7 @@ PRECISIONS: dict[str, Precision] = {
 """Named precisions. `wire` is the default; docs/design/009-color-records.md states their effect on image quality."""
 
 
-def _parse_precision(value: Precision | str) -> Precision:
-    """Return a precision, given by name or as it is."""
+def _precision(value: Precision | str) -> Precision:
     return value if isinstance(value, Precision) else PRECISIONS[_check.one_of("precision", value, tuple(PRECISIONS))]
 
 
@@ -128,15 +127,16 @@ class Grids:
     @classmethod
     def from_colors(cls, colors: SrbfColors, precision: Precision | str = "wire") -> Grids:
         """Return the narrowest ranges that hold all values of these colors, so that nothing is clipped."""
-        turns = [bool(colors.kind.space in ("hsl", "hsv") and k == 0) for k in range(3)]
-        ranges = [(0.0, 1.0) if turns[k] else _range(colors.base[:, k]) for k in range(3)]
+        ranges = [_range(colors.base[:, k]) for k in range(3)]
+        if colors.kind.space == "hsl":
+            ranges[0] = (0.0, 1.0)
         return cls(
             colors.variant,
-            _parse_precision(precision),
+            _precision(precision),
             (ranges[0], ranges[1], ranges[2]),
             _range(colors.scales, 1.0),
             _range(colors.decays, 1.0),
-            _largest_intensity(colors.intensities),
+            _largest(colors.intensities),
         )
 
     @property
@@ -147,11 +147,9 @@ class Grids:
     def base_table(self, component: int) -> F32:
         """Return (2^bits,) values of a component of base colors."""
         bits = self.precision.base
-        space = self.kind.space
-        if space in ("hsl", "hsv") and component == 0:
+        if self.kind.space == "hsl" and component == 0:
             return _grids.circle(0.0, 1.0, 1 << bits)[:-1]
-        center = 0.0 if space == "yuv" and component > 0 else 0.5
-        return _grids.bend(*self.base[component], center, BASE_KNEE, bits)
+        return _grids.bend(*self.base[component], 0.5, BASE_KNEE, bits)
 
     def scale_table(self) -> F32:
         """Return (2^bits,) scales, in even steps up to 1, because the error of the color matters."""
@@ -183,7 +181,6 @@ class QuantizedColors:
         grids: Tables that the integers index.
         base: (N, 3) uint16, indices into the tables of the components.
         scales: (N,) uint16, indices into the table of scales; (0,) for variants in RGB, which have none.
-        axes: (N, num_axes, 2) uint16 octahedral coordinates.
         offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1], in sending order.
         functions: (T,) uint8, index into the variant's functions.
         centers: (T, 2) uint16, indices into the tables of polar angle and azimuth.
@@ -197,7 +194,6 @@ class QuantizedColors:
     grids: Grids
     base: U16
     scales: U16
-    axes: U16
     offsets: NDArray[np.int64]
     functions: NDArray[np.uint8]
     centers: U16
@@ -216,7 +212,6 @@ class QuantizedColors:
         for name, shape, most in (
             ("base", (n, 3), (1 << p.base) - 1),
             ("scales", (n if has_scales(kind) else 0,), (1 << p.scale) - 1),
-            ("axes", (n, kind.num_axes, 2), (1 << p.axis) - 1),
             ("functions", (t,), len(kind.functions) - 1),
             ("centers", (t, 2), (2 << p.center) - 1),
             ("decays", (t,), (1 << p.decay) - 1),
@@ -259,7 +254,6 @@ class QuantizedColors:
             g.variant,
             base,
             scales,
-            _grids.unoctahedral(self.axes, g.precision.axis),
             self.offsets,
             self.functions,
             centers,
@@ -283,7 +277,7 @@ def quantize(
     mean over the whole sphere, with small integrals in closed form: no directions, images or renderer are needed.
 
     A center moves by at most (pi / 2^center) / sqrt(2), a decay by half a ratio, (largest / least)^(1 / (2^decay - 1)),
-    a base component in [0, 1] by half an even step, an axis by at most 4.3 / 2^axis radians. Without `refit` an
+    a base component in [0, 1] by half an even step. Without `refit` an
     intensity a moves by at most (|a| + 0.1) (exp(k / 2) - 1), k = log(1 + largest / 0.1) / (2^(intensity - 1) - 1).
 
     Args:
@@ -316,8 +310,8 @@ def quantize(
         raise ValueError(f"scales: expected 1 for {kind.name!r}, whose space is RGB, got {colors.scales.max():g}")
     base = np.empty((len(colors), 3), np.uint16)
     for k in range(3):
-        if kind.space in ("hsl", "hsv") and k == 0:
-            base[:, k] = _indices_on_circle(colors.base[:, 0], 0.0, 1.0, 1 << g.precision.base)
+        if kind.space == "hsl" and k == 0:
+            base[:, k] = _around(colors.base[:, 0], 0.0, 1.0, 1 << g.precision.base)
         else:
             base[:, k] = _grids.nearest(colors.base[:, k], g.base_table(k))
     centers, decays = _round_lobes(colors, g)
@@ -326,13 +320,12 @@ def quantize(
         lobes = _lobes(_centers_of(centers, g), g.decay_table()[decays])
         values = _project(colors, lobes)
         if grids is None:
-            g = replace(g, intensity=_largest_intensity(values))
+            g = replace(g, intensity=_largest(values))
         intensities = _round_jointly(colors, lobes, values, g)
     else:
         intensities = _grids.nearest(values, g.intensity_table())
     scales = _grids.nearest(colors.scales, g.scale_table()) if has_scales(kind) else np.zeros(0, np.uint16)
-    axes = _grids.octahedral(colors.axes, g.precision.axis)
-    return QuantizedColors(g, base, scales, axes, colors.offsets, colors.functions, centers, decays, intensities)
+    return QuantizedColors(g, base, scales, colors.offsets, colors.functions, centers, decays, intensities)
 
 
 def bytes_per_term(name: str, precision: Precision | str | None = "wire") -> float:
@@ -346,17 +339,17 @@ def bytes_per_term(name: str, precision: Precision | str | None = "wire") -> flo
         >>> bytes_per_term("rgb"), bytes_per_term("axis"), bytes_per_term("rgb", None)
         (4.5, 3.0, 24.0)
     """
-    return _term_bits(variant(name), None if precision is None else _parse_precision(precision)) / 8
+    return _term_bits(variant(name), None if precision is None else _precision(precision)) / 8
 
 
 def bytes_per_base(name: str, precision: Precision | str | None = "wire") -> float:
-    """Return the bytes of a Gaussian besides its terms: base color, and scale and axes if the variant has them.
+    """Return the bytes of a Gaussian besides its terms: base color, and a scale if the variant has one.
 
     Args:
         name: Name of the variant.
         precision: A name from `PRECISIONS`, or a `Precision`; None for float32 throughout.
     """
-    return _base_bits(variant(name), None if precision is None else _parse_precision(precision)) / 8
+    return _base_bits(variant(name), None if precision is None else _precision(precision)) / 8
 
 
 def record_bytes(colors: SrbfColors | QuantizedColors, precision: Precision | str | None = "wire") -> int:
@@ -369,7 +362,7 @@ def record_bytes(colors: SrbfColors | QuantizedColors, precision: Precision | st
     """
     if isinstance(colors, QuantizedColors):
         return colors.nbytes
-    return _packed_bytes(colors.kind, None if precision is None else _parse_precision(precision), colors.offsets)
+    return _packed_bytes(colors.kind, None if precision is None else _precision(precision), colors.offsets)
 
 
 def sh_bytes(degree: int, bits: int = 32) -> float:
@@ -400,8 +393,8 @@ def _term_bits(kind: Variant, p: Precision | None) -> int:
 def _base_bits(kind: Variant, p: Precision | None) -> int:
     """Return the bits of a Gaussian besides its terms; 32 for each number without a precision."""
     if p is None:
-        return 32 * (3 + has_scales(kind) + 3 * kind.num_axes)
-    return 3 * p.base + has_scales(kind) * p.scale + kind.num_axes * 2 * p.axis
+        return 32 * (3 + has_scales(kind))
+    return 3 * p.base + has_scales(kind) * p.scale
 
 
 def _packed_bytes(kind: Variant, p: Precision | None, offsets: NDArray[np.int64]) -> int:
@@ -417,8 +410,7 @@ def _range(values: F32, empty: float = 0.0) -> Range:
     return (float(values.min()), float(values.max())) if len(values) else (empty, empty)
 
 
-def _largest_intensity(intensities: NDArray[np.floating[Any]]) -> float:
-    """Return the largest absolute intensity; 0 if there is none."""
+def _largest(intensities: NDArray[np.floating[Any]]) -> float:
     return float(np.float32(np.abs(intensities).max(initial=0.0)))
 
 
@@ -436,7 +428,7 @@ def _check_covers(own: Grids, given: Grids) -> None:
             raise ValueError(f"{name}: expected within [{least:g}, {most:g}], got {low:g} to {high:g}; use wider grids")
 
 
-def _indices_on_circle(values: NDArray[np.floating[Any]], low: float, turn: float, count: int) -> U16:
+def _around(values: NDArray[np.floating[Any]], low: float, turn: float, count: int) -> U16:
     """Return the indices of values on a circle of `count` even steps."""
     steps = np.rint((values.astype(np.float64) - low) * (count / turn))
     return np.asarray(np.mod(steps, count), np.uint16)
@@ -447,7 +439,7 @@ def _round_lobes(colors: SrbfColors, g: Grids) -> tuple[U16, U16]:
     theta, phi = np.moveaxis(spherical_coordinates(unit_vectors(colors.centers)), -1, 0)
     bits = g.precision.center
     places = np.clip(np.floor(theta * ((1 << bits) / np.pi)), 0, (1 << bits) - 1)
-    centers = np.stack([places.astype(np.uint16), _indices_on_circle(phi, -np.pi, 2.0 * np.pi, 2 << bits)], axis=1)
+    centers = np.stack([places.astype(np.uint16), _around(phi, -np.pi, 2.0 * np.pi, 2 << bits)], axis=1)
     return centers, _grids.nearest(colors.decays, g.decay_table())
 
 

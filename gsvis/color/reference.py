@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis.color.omp import LEAST_SHARE, SparseCodes
-from gsvis.color.spaces import hsl_to_rgb, hsv_to_rgb, yuv_to_rgb
+from gsvis.color.spaces import hsl_to_rgb
 from gsvis.color.srbf import SrbfColors, srbf, unit_vectors
 
 __all__ = ["evaluate", "orthogonal_matching_pursuit", "refine"]
@@ -29,15 +29,10 @@ def evaluate(colors: SrbfColors, means: ArrayLike, eye: ArrayLike, *, active: Ar
 
 def _to_rgb(colors: SrbfColors, values: F64) -> F64:
     """Return RGB of (N, 3) values in the variant's space."""
-    space = colors.kind.space
-    if space == "hsl":
-        values = np.asarray(hsl_to_rgb(np.clip(values, [-np.inf, 0, 0], [np.inf, 1, 1])))
-    elif space == "hsv":
-        values = np.asarray(hsv_to_rgb(np.clip(values, [-np.inf, 0, 0], [np.inf, 1, 1])))
-    elif space == "yuv":
-        values = np.asarray(yuv_to_rgb(values))
-    scales = 1.0 if space == "rgb" else colors.scales[:, None].astype(np.float64)
-    return np.asarray(np.maximum(values, 0.0) * scales)
+    if colors.kind.space == "rgb":
+        return np.asarray(np.maximum(values, 0.0))
+    rgb = np.asarray(hsl_to_rgb(np.clip(values, [-np.inf, 0, 0], [np.inf, 1, 1])))
+    return np.asarray(np.maximum(rgb, 0.0) * colors.scales[:, None].astype(np.float64))
 
 
 def orthogonal_matching_pursuit(

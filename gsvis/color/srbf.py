@@ -64,9 +64,8 @@ class SrbfColors:
 
     Args:
         variant: One of `VARIANTS`.
-        base: (N, 3) base colors in the variant's space: RGB (not clipped), or HSL, HSV, YUV of RGB / `scales`.
+        base: (N, 3) base colors in the variant's space: RGB (not clipped), or HSL of RGB / `scales`.
         scales: (N,) > 0; divisor that fits RGB into its space. 1 for variants whose space is RGB.
-        axes: (N, num_axes, 3) unit RGB directions along which terms move the color.
         offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1], in sending order.
         functions: (T,) uint8, index into the variant's functions.
         centers: (T, 2) polar angle and azimuth of the center, radians.
@@ -83,7 +82,6 @@ class SrbfColors:
     variant: str
     base: F32
     scales: F32
-    axes: F32
     offsets: NDArray[np.int64]
     functions: NDArray[np.uint8]
     centers: F32
@@ -102,7 +100,6 @@ class SrbfColors:
         arrays: dict[str, NDArray[Any]] = {
             "base": base,
             "scales": _check.floats("scales", self.scales, (n,)),
-            "axes": _check.floats("axes", self.axes, (n, kind.num_axes, 3)),
             "offsets": offsets,
             "functions": functions,
             "centers": _check.floats("centers", self.centers, (t, 2)),
@@ -135,8 +132,7 @@ class SrbfColors:
         pairs = none.reshape(0, 2)
         triples = none.reshape(0, 3)
         ones = np.ones(n, np.float32)
-        axes = np.zeros((n, 0, 3), np.float32)
-        return cls("rgb", base, ones, axes, counts, functions, pairs, none, triples)
+        return cls("rgb", base, ones, counts, functions, pairs, none, triples)
 
     def __len__(self) -> int:
         return len(self.base)
@@ -172,18 +168,12 @@ class SrbfColors:
     def amplitudes(self) -> F32:
         """Return (T, 3), the amount that each term adds to the base, in the variant's space, where its SRBF is 1."""
         kind = self.kind
-        ids = self.gaussian_ids
-        if kind.components:  # multiplicative: ref * (1 + sum)
-            component = np.asarray(kind.components, np.int64)[self.functions]
-            added = np.zeros((self.num_terms, 3), np.float32)
-            rows = np.arange(self.num_terms)
-            added[rows, component] = self.intensities[:, 0] * self.base[ids, component]
-            return added
-        if kind.num_axes == 0:
+        if not kind.components:
             return self.intensities
-        if kind.intensities == 1:
-            return np.asarray(self.intensities * self.axes[ids, self.functions])
-        return np.asarray(np.einsum("ti,tic->tc", self.intensities, self.axes[ids]))
+        component = np.asarray(kind.components, np.int64)[self.functions]
+        added = np.zeros((self.num_terms, 3), np.float32)
+        added[np.arange(self.num_terms), component] = self.intensities[:, 0] * self.base[self.gaussian_ids, component]
+        return added
 
     def __getitem__(self, index: Any) -> SrbfColors:
         """Select the colors of Gaussians by a slice, a mask, an index array, or one integer."""
@@ -197,7 +187,6 @@ class SrbfColors:
             self.variant,
             self.base[chosen],
             self.scales[chosen],
-            self.axes[chosen],
             offsets,
             self.functions[terms],
             self.centers[terms],
@@ -222,7 +211,6 @@ class SrbfColors:
             self.variant,
             self.base,
             self.scales,
-            self.axes,
             kept[self.offsets],
             self.functions[mask],
             self.centers[mask],

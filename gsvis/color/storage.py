@@ -172,8 +172,6 @@ def _schema(kind: Variant, grids: Grids | None) -> list[pa.Field]:
     columns.append(field("base", number("base"), 3))
     if grids is None or has_scales(kind):
         columns.append(field("color_scales", number("scale")))
-    if kind.num_axes:
-        columns.append(field("axes", number("axis"), (3 if grids is None else 2) * kind.num_axes))
     term = [
         field("function", pa.uint8()),
         field("theta", number("center")),
@@ -197,7 +195,7 @@ def _batches(g: Gaussians, colors: SrbfColors | QuantizedColors, schema: pa.Sche
         offsets = colors.offsets[rows.start : rows.stop + 1]
         terms = slice(int(offsets[0]), int(offsets[-1]))
         values: dict[str, NDArray[Any]] = {name: getattr(g, name)[rows] for name in _GEOMETRY}
-        values |= {"base": colors.base[rows], "color_scales": colors.scales[rows], "axes": colors.axes[rows]}
+        values |= {"base": colors.base[rows], "color_scales": colors.scales[rows]}
         parts = {
             "function": colors.functions[terms],
             "theta": colors.centers[terms, 0],
@@ -261,21 +259,16 @@ def _colors(
     kind: Variant, grids: Grids | None, columns: Mapping[str, NDArray[Any]], offsets: NDArray[np.int64]
 ) -> SrbfColors:
     """Return the colors that the columns hold."""
-    n = len(offsets) - 1
     t = int(offsets[-1])
-    width = 3 if grids is None else 2
     dtype = np.float32 if grids is None else np.uint16
-    axes: NDArray[Any] = np.zeros((n, 0, width), dtype)
-    if kind.num_axes:
-        axes = columns["axes"].reshape(n, kind.num_axes, width)
     scales: NDArray[Any] = columns["color_scales"][:, 0] if "color_scales" in columns else np.zeros(0, dtype)
     centers = np.concatenate([columns["terms.theta"].astype(dtype), columns["terms.phi"].astype(dtype)], axis=1)
     functions = columns["terms.function"][:, 0]
     decays = columns["terms.decay"][:, 0]
     intensities = columns["terms.intensities"].reshape(t, kind.intensities)
     if grids is None:
-        return SrbfColors(kind.name, columns["base"], scales, axes, offsets, functions, centers, decays, intensities)
-    packed = QuantizedColors(grids, columns["base"], scales, axes, offsets, functions, centers, decays, intensities)
+        return SrbfColors(kind.name, columns["base"], scales, offsets, functions, centers, decays, intensities)
+    packed = QuantizedColors(grids, columns["base"], scales, offsets, functions, centers, decays, intensities)
     return packed.dequantize()
 
 

@@ -22,12 +22,12 @@ from pyroaring import BitMap
 
 from gsvis import _check
 from gsvis.color.srbf import SrbfColors
+from gsvis.color.variants import VARIANTS, variant
 from gsvis.errors import FormatError
 from gsvis.files.arrow import ArrowFile, write_arrow
 from gsvis.files.cache import Cache
 from gsvis.files.fields import Fields
 from gsvis.files.limits import DAMAGED, Budget
-from gsvis.package.layout import PACKED_VARIANTS, check_packed
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.content import scene_hash
@@ -283,7 +283,7 @@ class ActiveTerms:
             return value
 
         epsilon = fields.number("epsilon")
-        if text("variant") not in PACKED_VARIANTS or epsilon < 0.0:
+        if text("variant") not in VARIANTS or epsilon < 0.0:
             raise self._fault("variant, epsilon", "rgb or hsl, and a threshold", f"{text('variant')!r}, {epsilon}")
         return ActiveTermsInfo(
             cells=fields.integer("cells", 1, 1 << 31),
@@ -313,10 +313,10 @@ def write_active_terms(
         cells: For each cell, the ascending ids of its active terms and the number of terms of the Gaussians it sees.
 
     Raises:
-        ValueError: If packages do not support the variant.
+        ValueError: If there is no such variant.
         OSError: If the file cannot be written; an older file at the path stays.
     """
-    check_packed(info.variant)
+    variant(info.variant)
     header = {"format": FORMAT, "version": VERSION, **asdict(info)}
     write_arrow(path, _SCHEMA, header, _batches(cells), seal="header")
 
@@ -349,6 +349,9 @@ def colors_hash(colors: SrbfColors) -> str:
     """Return the SHA-256 over variant, base colors and terms, as 64 hexadecimal digits."""
     digest = hashlib.sha256(b"gsvis colors 1\n%s\n" % colors.variant.encode())
     for name in ("base", "scales", "axes", "offsets", "functions", "centers", "decays", "intensities"):
+        if name == "axes":  # colors of earlier versions had them; without this line their hashes would change
+            digest.update(f"axes ({len(colors)}, 0, 3)\n".encode())
+            continue
         array = np.ascontiguousarray(getattr(colors, name))
         little = array.astype(array.dtype.newbyteorder("<"), copy=False)
         digest.update(f"{name} {array.shape}\n".encode())

@@ -157,12 +157,10 @@ class Contents:
 
     def colors(self) -> QuantizedColors:
         """Return the base colors and all terms, as indices of their tables; an index past the end becomes the last."""
-        n = len(self)
         base = base_places(self.records, self.grids).astype(np.uint16)
         scales = base[:, 3] if self.layout.color_scale else np.zeros(0, np.uint16)
         terms = decode_terms(self.term_records, self.grids)
-        axes = np.zeros((n, 0, 2), np.uint16)  # empty: no packed variant has axes
-        return QuantizedColors(self.grids, base[:, :3], scales, axes, self.term_offsets, *terms)
+        return QuantizedColors(self.grids, base[:, :3], scales, self.term_offsets, *terms)
 
 
 def base_places(records: U8, grids: Grids) -> U8:
@@ -192,8 +190,7 @@ def base_rgb(records: U8, grids: Grids) -> F32:
     none = np.zeros(0, np.uint16)
     empty = none.reshape(0, grids.kind.intensities)
     offsets = np.zeros(n + 1, np.int64)
-    axes = np.zeros((n, 0, 2), np.uint16)
     flat = QuantizedColors(
-        grids, base[:, :3], base[:, 3], axes, offsets, none.astype(np.uint8), none.reshape(0, 2), none, empty
+        grids, base[:, :3], base[:, 3], offsets, none.astype(np.uint8), none.reshape(0, 2), none, empty
     )
     return np.ascontiguousarray(evaluate_along(flat.dequantize(), [[0.0, 0.0, 1.0]])[:, 0])

@@ -17,25 +17,10 @@ from gsvis._kernels.terms import TermFields
 from gsvis.color.records import Grids, has_scales
 from gsvis.color.variants import variant
 
-__all__ = ["PACKED_VARIANTS", "RECORD_BYTES", "RecordLayout", "TermLayout", "check_packed", "term_fields"]
+__all__ = ["RECORD_BYTES", "RecordLayout", "TermLayout", "term_fields"]
 
 RECORD_BYTES = 16
 """Bytes of geometry and base color of a Gaussian."""
-
-PACKED_VARIANTS = ("rgb", "hsl")
-"""Variants of colors that packages and streams support; other variants are for comparisons only."""
-
-
-def check_packed(name: str) -> str:
-    """Return the name of a variant; raise unless packages support it.
-
-    Raises:
-        ValueError: If packages do not support it; the error names the supported ones.
-    """
-    if name not in PACKED_VARIANTS:
-        known = " or ".join(PACKED_VARIANTS)
-        raise ValueError(f"variant: expected {known} in a package, got {name!r}; fit the colors with one of these")
-    return name
 
 
 @dataclass(frozen=True)
@@ -63,9 +48,9 @@ class RecordLayout:
         """Return the layout for a variant of colors. Variants with a color scale have fewer bits for geometry.
 
         Raises:
-            ValueError: If packages do not support the variant.
+            ValueError: If there is no such variant.
         """
-        return cls(13, 8, 8, True) if has_scales(variant(check_packed(name))) else cls(14, 9, 9, False)
+        return cls(13, 8, 8, True) if has_scales(variant(name)) else cls(14, 9, 9, False)
 
     @property
     def packed_from(self) -> int:

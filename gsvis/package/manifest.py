@@ -18,12 +18,13 @@ import numpy as np
 from gsvis import _check
 from gsvis.color.records import Grids
 from gsvis.color.storage import grids_of
+from gsvis.color.variants import VARIANTS
 from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import DAMAGED, inside, read_whole
 from gsvis.io.facts import facts_from_json, facts_to_json
 from gsvis.package.fidelity import Fidelity
-from gsvis.package.layout import PACKED_VARIANTS, RecordLayout, TermLayout
+from gsvis.package.layout import RecordLayout, TermLayout
 from gsvis.package.parts import Part
 from gsvis.scene.facts import SceneFacts
 
@@ -270,7 +271,7 @@ class Manifest:
         scene = fields.text("scene")
         quantized = fields.child("quantization")
         colors = quantized.child("colors")
-        name = colors.text("variant", PACKED_VARIANTS)
+        name = colors.text("variant", VARIANTS)
         grids = grids_of(colors, name)
         for key, layout in (("record", RecordLayout.from_variant(name)), ("term", TermLayout.from_grids(grids))):
             if quantized.raw(key) != asdict(layout):

@@ -10,7 +10,6 @@ import numpy as np
 
 from gsvis import _check
 from gsvis.color.epsilon import DEFAULT_EPSILON
-from gsvis.package.layout import check_packed
 from gsvis.prepare.colors import ColorConfig
 from gsvis.pvs.cells import MAX_CELLS
 from gsvis.pvs.config import PvsConfig
@@ -74,7 +73,6 @@ class PrepareConfig:
             raise ValueError(f"epsilon: expected a change of color in (0, 1], got {self.epsilon!r}")
         if not 0.0 <= self.meters_per_unit < np.inf:
             raise ValueError(f"meters_per_unit: expected a finite number >= 0, got {self.meters_per_unit!r}")
-        check_packed(self.colors.fit.variant)
         for name in ("level_views", "cost_views", "fidelity_views"):
             if getattr(self, name).count == 0:
                 raise ValueError(f"{name}: expected at least one view, got none")

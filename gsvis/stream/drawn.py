@@ -210,7 +210,6 @@ class Drawn:
                 SrbfColors,
                 base=g["base"],
                 scales=g["color_scales"],
-                axes=np.zeros((n, 0, 3), np.float32),
                 offsets=offsets,
                 **{name: array[:count] for name, array in zip(names, found, strict=True)},
             )

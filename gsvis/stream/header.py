@@ -18,9 +18,10 @@ import pyarrow as pa
 
 from gsvis.color.records import Grids
 from gsvis.color.storage import grids_of
+from gsvis.color.variants import VARIANTS
 from gsvis.errors import FormatError, ProtocolError, SceneError
 from gsvis.files.fields import Fields, parse_object
-from gsvis.package.layout import PACKED_VARIANTS, RECORD_BYTES, TermLayout
+from gsvis.package.layout import RECORD_BYTES, TermLayout
 from gsvis.package.manifest import Manifest, PackageInfo
 from gsvis.stream.coding import MOST_STEP, Coding, Steps, table_sizes
 from gsvis.stream.tables import Tables
@@ -172,7 +173,7 @@ class SceneHeader:
         """Return the header from parsed JSON; raise ProtocolError or FormatError if a value is invalid."""
         colors = fields.child("colors")
         identity = fields.text("identity")
-        name = colors.text("variant", PACKED_VARIANTS)
+        name = colors.text("variant", VARIANTS)
         if not _IDENTITY.fullmatch(identity):
             raise ProtocolError(f"WELCOME: expected an identity of 64 hexadecimal digits, got {identity[:64]!r}")
         levels = [Fields(_WHERE, "levels", row) for row in fields.items("levels")]

@@ -209,7 +209,7 @@ def test_cones_hold_all_eyes_for_which_a_term_is_active(seed, variant) -> None:
     counts = rng.integers(0, 4, 20)
     total, width = int(counts.sum()), 3 if variant == "rgb" else 1
     colors = SrbfColors(
-        variant, rng.uniform(0.1, 0.9, (20, 3)), np.ones(20), np.zeros((20, 0, 3)), np.append(0, np.cumsum(counts)),
+        variant, rng.uniform(0.1, 0.9, (20, 3)), np.ones(20), np.append(0, np.cumsum(counts)),
         rng.integers(0, 1 if variant == "rgb" else 2, total), rng.uniform([0, -3], [3, 3], (total, 2)),
         rng.uniform(0.5, 40, total), rng.normal(0, 0.2, (total, width)),
     )  # fmt: skip

@@ -174,7 +174,7 @@ def test_without_flip_it_is_not_used_and_refused_at_once_where_it_is_needed(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--variant", "magic"], "axes-split"),
+        (["--variant", "magic"], "rgb, hsl"),
         (["--max-terms", "33"], "0 to 32"),
         (["--max-terms", "-1"], "0 to 32"),
         (["--mean-terms", "few"], "or all"),

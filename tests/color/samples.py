@@ -13,14 +13,10 @@ def random_colors(rng: np.random.Generator, count: int, name: str = "rgb", most_
     kind = variant(name)
     counts = rng.integers(0, most_terms + 1, count)
     total = int(counts.sum())
-    axes = rng.normal(size=(count, kind.num_axes, 3)).astype(np.float32)
-    axes /= np.linalg.norm(axes, axis=2, keepdims=True)
-    low, high = (0.1, 0.9) if kind.space != "yuv" else (np.array([0.2, -0.1, -0.1]), np.array([0.8, 0.1, 0.1]))
     return SrbfColors(
         name,
-        rng.uniform(low, high, (count, 3)).astype(np.float32),
+        rng.uniform(0.1, 0.9, (count, 3)).astype(np.float32),
         np.ones(count, np.float32) if kind.space == "rgb" else rng.uniform(0.5, 2.0, count).astype(np.float32),
-        axes,
         np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)]),
         rng.integers(0, len(kind.functions), total).astype(np.uint8),
         np.stack([rng.uniform(0, np.pi, total), rng.uniform(-np.pi, np.pi, total)], axis=1).astype(np.float32),

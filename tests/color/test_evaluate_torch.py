@@ -16,7 +16,7 @@ from gsvis.color.variants import VARIANTS
 from tests.color.samples import random_colors
 
 EYE = np.array([0.3, -0.2, 0.1])
-LEAVES = ("base", "axes", "centers", "decays", "intensities")
+LEAVES = ("base", "centers", "decays", "intensities")
 
 
 @pytest.mark.parametrize("name", VARIANTS)
@@ -76,11 +76,11 @@ def test_gradients_are_finite_at_the_edges(name: str) -> None:
 
 
 def test_there_and_back() -> None:
-    colors = random_colors(np.random.default_rng(6), 20, "axes-split")
+    colors = random_colors(np.random.default_rng(6), 20, "hsl")
     back = SrbfTensors.from_colors(colors, torch.float64).to_colors()
     for name, value in vars(colors).items():
         np.testing.assert_array_equal(getattr(back, name), value)
-    assert "axes-split" in repr(SrbfTensors.from_colors(colors))
+    assert "hsl" in repr(SrbfTensors.from_colors(colors))
 
 
 def test_a_step_of_descent_lowers_the_error() -> None:

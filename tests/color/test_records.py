@@ -27,7 +27,7 @@ from gsvis.render import psnr, rasterize
 from gsvis.scene.navigable import NavigableSpace
 from tests.color.samples import random_colors
 
-PARTS = ("base", "scales", "axes", "offsets", "functions", "centers", "decays", "intensities")
+PARTS = ("base", "scales", "offsets", "functions", "centers", "decays", "intensities")
 SPHERE = unit_vectors(
     np.stack([np.arccos(np.linspace(-1, 1, 4001)), np.mod(np.arange(4001) * 2.399963, 2 * np.pi)], axis=1)
 )
@@ -41,9 +41,7 @@ def spread_colors(seed: int, count: int, name: str, most_terms: int) -> SrbfColo
     base = c.base + (rng.normal(scale=3.0, size=c.base.shape) if c.kind.space == "rgb" else 0.0)
     intensities = np.where(wild, 100.0, 1.0) * c.intensities
     decays = np.where(wild[:, 0], 500.0, 1.0) * c.decays
-    return SrbfColors(
-        name, base, c.scales, c.axes, c.offsets, c.functions, c.centers, np.minimum(decays, 1e4), intensities
-    )
+    return SrbfColors(name, base, c.scales, c.offsets, c.functions, c.centers, np.minimum(decays, 1e4), intensities)
 
 
 def field_error(before: SrbfColors, after: SrbfColors) -> np.ndarray:
@@ -97,8 +95,6 @@ def test_every_number_stays_within_its_bound(seed: int, name: str, precision: st
     k = np.log1p(g.intensity / INTENSITY_FLOOR) / (2 ** (p.intensity - 1) - 1)
     moved = np.abs(after.intensities - before.intensities)
     assert np.all(moved <= (np.abs(before.intensities) + INTENSITY_FLOOR) * np.expm1(k / 2) * (1 + 1e-5) + 1e-7)
-    angles = 2 * np.arcsin(np.linalg.norm(after.axes - before.axes, axis=-1) / 2)
-    assert np.all(angles <= 4.3 / 2**p.axis)
     np.testing.assert_array_equal(after.offsets, before.offsets)
     np.testing.assert_array_equal(after.functions, before.functions)
 
@@ -134,7 +130,7 @@ def test_lobes_that_nearly_cancel_survive_rounding() -> None:
     intensities = np.tile([[20.0], [-20.1]], (n, 3))
     offsets, decays = 2 * np.arange(n + 1), np.tile([4.0, 4.1], n)
     before = SrbfColors(
-        "rgb", np.full((n, 3), 0.5), np.ones(n), np.zeros((n, 0, 3)), offsets, np.zeros(2 * n, int), centers, decays,
+        "rgb", np.full((n, 3), 0.5), np.ones(n), offsets, np.zeros(2 * n, int), centers, decays,
         intensities,
     )  # fmt: skip
     plain, adapted = (field_error(before, quantize(before, refit=refit).dequantize()) for refit in (False, True))
@@ -143,9 +139,7 @@ def test_lobes_that_nearly_cancel_survive_rounding() -> None:
 
 def test_hue_goes_around() -> None:
     base = np.array([[0.9999, 0.5, 0.5], [1.0, 0.5, 0.5], [-0.0001, 0.5, 0.5], [0.0, 0.5, 0.5]])
-    c = SrbfColors(
-        "hsl-l", base, np.ones(4), np.zeros((4, 0, 3)), np.zeros(5, int), [], np.zeros((0, 2)), [], np.zeros((0, 1))
-    )
+    c = SrbfColors("hsl", base, np.ones(4), np.zeros(5, int), [], np.zeros((0, 2)), [], np.zeros((0, 1)))
     assert np.all(quantize(c, "coarse").dequantize().base[:, 0] == 0.0)
 
 
@@ -157,8 +151,8 @@ def test_parts_of_a_scene_share_its_tables() -> None:
     np.testing.assert_array_equal(part.intensities, packed.intensities[packed.offsets[10] : packed.offsets[30]])
     with pytest.raises(ValueError, match=r"expected within .* use wider grids"):
         quantize(spread_colors(6, 500, "rgb", 4), grids=Grids.from_colors(whole[:1]))
-    with pytest.raises(ValueError, match="grids: expected tables of variant 'axes'"):
-        quantize(random_colors(np.random.default_rng(0), 3, "axes"), grids=packed.grids)
+    with pytest.raises(ValueError, match="grids: expected tables of variant 'hsl'"):
+        quantize(random_colors(np.random.default_rng(0), 3, "hsl"), grids=packed.grids)
 
 
 def test_sizes_are_counted_by_hand() -> None:
@@ -166,9 +160,8 @@ def test_sizes_are_counted_by_hand() -> None:
     assert bytes_per_term("rgb", p) == (8 + 9 + 6 + 3 * 7) / 8
     assert bytes_per_term("hsl", p) == (1 + 8 + 9 + 6 + 7) / 8
     assert bytes_per_base("hsl", p) == (30 + 9) / 8
-    assert bytes_per_base("axes", p) == (30 + 2 * 16) / 8
-    assert bytes_per_base("axes", None) == 12 + 24
-    assert bytes_per_term("axes-split", None) == 1 + 8 + 4 + 4
+    assert bytes_per_base("hsl", None) == 12 + 4
+    assert bytes_per_term("hsl", None) == 1 + 8 + 4 + 4
     c = random_colors(np.random.default_rng(7), 33, "hsl", 5)
     bits = 33 * (39 + 3) + c.num_terms * 31
     assert record_bytes(c, p) == quantize(c, p).nbytes == record_bytes(quantize(c, p)) == -(-bits // 8)
@@ -185,9 +178,7 @@ def test_nothing_at_all_and_nothing_but_bases() -> None:
 
 def test_scales_of_rgb_are_not_dropped_in_silence() -> None:
     c = random_colors(np.random.default_rng(1), 3, "rgb")
-    other = SrbfColors(
-        "rgb", c.base, np.full(3, 2.0), c.axes, c.offsets, c.functions, c.centers, c.decays, c.intensities
-    )
+    other = SrbfColors("rgb", c.base, np.full(3, 2.0), c.offsets, c.functions, c.centers, c.decays, c.intensities)
     with pytest.raises(ValueError, match="scales: expected 1 for 'rgb'"):
         quantize(other)
 
@@ -211,14 +202,6 @@ def test_tables_rise_and_keep_their_ends(low: float, high: float, bits: int) -> 
     intensities = _grids.compand(high, 0.05, bits)
     np.testing.assert_array_equal(intensities, -intensities[::-1])
     assert intensities[len(intensities) // 2] == 0
-
-
-def test_a_direction_comes_back_from_the_octahedron() -> None:
-    cells = np.stack(np.meshgrid(np.arange(64), np.arange(64)), axis=-1).reshape(-1, 2).astype(np.uint16)
-    vectors = _grids.unoctahedral(cells, 6)
-    np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1.0, rtol=1e-6)
-    np.testing.assert_array_equal(_grids.octahedral(vectors, 6), cells)
-    assert np.all(np.isfinite(_grids.unoctahedral(_grids.octahedral(np.zeros((1, 3)), 6), 6)))
 
 
 @pytest.mark.realdata

@@ -26,7 +26,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
 from tests.color.samples import random_colors
 
-PARTS = ("base", "scales", "axes", "offsets", "functions", "centers", "decays", "intensities")
+PARTS = ("base", "scales", "offsets", "functions", "centers", "decays", "intensities")
 GEOMETRY = ("means", "quats", "scales", "opacities")
 
 
@@ -55,7 +55,7 @@ def rewritten(data: bytes, edit: Any) -> bytes:
 @pytest.fixture
 def saved(tmp_path: Path) -> tuple[Path, Gaussians, SrbfColors]:
     rng = np.random.default_rng(0)
-    g, colors = random_scene(rng, 30), random_colors(rng, 30, "axes")
+    g, colors = random_scene(rng, 30), random_colors(rng, 30, "hsl")
     path = tmp_path / "scene.arrow"
     save_srbf(path, g, colors, provenance={"fit": {"max_terms": 4}, "by": "tests"})
     return path, g, colors
@@ -91,7 +91,7 @@ def test_many_batches_make_one_scene(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_the_header_states_what_is_in_the_file(saved: tuple[Path, Gaussians, SrbfColors]) -> None:
     path, g, colors = saved
     info = srbf_info(path)
-    assert (info.variant, info.gaussians, info.terms, info.grids) == ("axes", 30, colors.num_terms, None)
+    assert (info.variant, info.gaussians, info.terms, info.grids) == ("hsl", 30, colors.num_terms, None)
     assert info.scene == scene_hash(g)
     assert info.provenance == {"fit": {"max_terms": 4}, "by": "tests"}
     assert info.nbytes == path.stat().st_size
@@ -247,10 +247,9 @@ def test_a_newer_version_is_refused_with_a_clear_line(saved: tuple[Path, Gaussia
     ("old", "new", "message"),
     [
         (b'"gaussians":30', b'"gaussians":31', "gaussians: expected 31 as the header says, got 30"),
-        (b'"variant":"axes"', b'"variant":"yuvx"', "variant: expected one of"),
-        (b'"variant":"axes"', b'"variant":"yuv" ', "column 'terms': expected list"),
-        (b'"variant":"axes"', b'"variant":"rgb" ', "column 'terms': expected list"),
-        (b'"variant":"axes"', b'"variant":["ax"]', "variant: expected one of"),
+        (b'"variant":"hsl"', b'"variant":"yuv"', "variant: expected one of"),
+        (b'"variant":"hsl"', b'"variant":"rgb"', "column 'terms': expected list"),
+        (b'"variant":"hsl"', b'"variant":["a"]'[:15], "variant: expected one of"),
         (b"opacities", b"opac\xff\xfeies", "an Arrow schema"),
         (b'"quantized":null', b'"quantized":1234', "quantized: expected an object"),
         (b"opacities", b"opacitiez", "column 'opacities'"),
@@ -280,7 +279,7 @@ def test_integers_and_ranges_are_checked_on_reading(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: dict[str, Any], message: str
 ) -> None:
     rng = np.random.default_rng(6)
-    g, colors = random_scene(rng, 5), random_colors(rng, 5, "hsv")
+    g, colors = random_scene(rng, 5), random_colors(rng, 5, "hsl")
     packed = quantize(colors, replace(PRECISIONS["wire"], base=8))
     grids = packed.grids
     if "bits" in change:
@@ -317,7 +316,7 @@ def test_a_promise_of_gigabytes_is_refused_before_they_are_allocated(tmp_path: P
 @given(st.data())
 def test_damaged_bytes_give_an_error_or_the_same_scene(tmp_path: Path, data: st.DataObject) -> None:
     rng = np.random.default_rng(8)
-    g, colors = random_scene(rng, 12), random_colors(rng, 12, "axes-split")
+    g, colors = random_scene(rng, 12), random_colors(rng, 12, "hsl")
     path = tmp_path / "a"
     precision = data.draw(st.sampled_from([None, "wire"]))
     save_srbf(path, g, colors, precision=precision)

@@ -20,7 +20,7 @@ def lobes(decay: float, count: int = 50, height: float = 0.2) -> SrbfColors:
     rng = np.random.default_rng(0)
     coordinates = np.stack([np.arccos(rng.uniform(-1, 1, count)), rng.uniform(-np.pi, np.pi, count)], axis=1)
     return SrbfColors(
-        "rgb", np.full((count, 3), 0.5), np.ones(count), np.zeros((count, 0, 3)), np.arange(count + 1),
+        "rgb", np.full((count, 3), 0.5), np.ones(count), np.arange(count + 1),
         np.zeros(count, np.uint8), coordinates, np.full(count, decay), height * rng.uniform(-1, 1, (count, 3)),
     )  # fmt: skip
 

@@ -176,7 +176,7 @@ def _with_checksum(data: bytes) -> bytes:
     changed = bytearray(data)
     try:
         with memoryview(changed) as view:
-            places = _arrow._places(None, view)  # type: ignore[arg-type]
+            places = _arrow._checksum_places(None, view)  # type: ignore[arg-type]
             digits = b"%08x" % _arrow._checksum(view, places)
             for place in places:
                 changed[place : place + 8] = digits

@@ -44,8 +44,8 @@ def footer_of(data: bytes) -> tuple[int, int]:
     """Where the footer of an Arrow file begins, and the first of the places of its batches."""
     start = _arrow._footer_start(Path(), memoryview(data))
     footer = data[start:-10]
-    place = _arrow._field(footer, _arrow._follow(footer, 0), 3)
-    return start, start + _arrow._follow(footer, place) + 4
+    place = _arrow._field(footer, _arrow._follow_offset(footer, 0), 3)
+    return start, start + _arrow._follow_offset(footer, place) + 4
 
 
 def arrows() -> Damaged:

@@ -77,7 +77,7 @@ def color_files() -> list[Case]:
     g, made = random_scene(np.random.default_rng(0), 10), []
     with TemporaryDirectory() as folder:
         path = Path(folder) / "a.arrow"
-        for variant in ("rgb", "hsl", "axes"):
+        for variant in ("rgb", "hsl"):
             exact, _ = colors_of(10, variant)
             for precision in (None, "wire"):
                 save_srbf(path, g, exact, precision=precision, provenance={"a": 1})

@@ -90,7 +90,7 @@ def test_what_is_read_is_what_was_written(tmp_path: Path, variant: str) -> None:
             np.testing.assert_array_equal(getattr(read.table, name), getattr(made.table, name), err_msg=name)
         np.testing.assert_array_equal(read.first, levels.first)
         np.testing.assert_array_equal(read.last, levels.last)
-        for name in ("base", "scales", "axes", "offsets", "functions", "centers", "decays", "intensities"):
+        for name in ("base", "scales", "offsets", "functions", "centers", "decays", "intensities"):
             np.testing.assert_array_equal(getattr(read.colors(), name), getattr(colors, name), err_msg=name)
         m = package.manifest
         assert (m.names, m.counts, m.gaussians, m.terms) == (NAMES, levels.counts, 400, colors.num_terms)

@@ -64,7 +64,7 @@ def test_arrays_that_share_memory_with_tensors_are_arrays() -> None:
     assert isinstance(rasterize(g, VIEWS, colors=values), RenderingTensors)
 
 
-@pytest.mark.parametrize("name", ["rgb", "hsl", "axes"])
+@pytest.mark.parametrize("name", VARIANTS)
 def test_gradients_agree(name: str) -> None:
     g = scene("blobs")
     colors = random_colors(np.random.default_rng(3), len(g), name)

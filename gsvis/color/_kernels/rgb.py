@@ -1,7 +1,7 @@
 """Kernels that convert colors of the spaces of `gsvis.color.variants` to RGB, many at a time and in place.
 
 The formulas have no branches, so that loops vectorize. `tests/color/test_evaluate.py` compares them with those of
-`gsvis.color.spaces`. those of `gsvis.color.spaces`.
+`gsvis.color.spaces`.
 """
 
 from __future__ import annotations
@@ -12,14 +12,10 @@ from gsvis._kernels.compiled import inner, njit
 
 __all__ = ["SPACES", "to_rgb"]
 
-SPACES = {"rgb": 0, "hsl": 1, "hsv": 2, "yuv": 3}
+SPACES = {"rgb": 0, "hsl": 1}
 """Codes of the spaces."""
 
-_0, _1, _3, _4, _5, _6, _8, _9, _12 = (np.float32(k) for k in (0, 1, 3, 4, 5, 6, 8, 9, 12))
-_V_RED = np.float32(1.402)
-_U_BLUE = np.float32(1.772)
-_GREEN_RED = np.float32(0.299 / 0.587)
-_GREEN_BLUE = np.float32(0.114 / 0.587)
+_0, _1, _3, _4, _8, _9, _12 = (np.float32(k) for k in (0, 1, 3, 4, 8, 9, 12))
 
 
 @inner(error_model="numpy")
@@ -28,14 +24,6 @@ def _hsl_channel(shift, hue, chroma, lightness):
     k = shift + hue
     k -= _12 * np.floor(k / _12)
     return lightness - chroma * max(-_1, min(k - _3, _9 - k, _1))
-
-
-@inner(error_model="numpy")
-def _hsv_channel(shift, hue, chroma, value):
-    """Return a channel of RGB from HSV; shift 5, 3, 1 plus 6 times the hue for red, green, blue."""
-    k = shift + hue
-    k -= _6 * np.floor(k / _6)
-    return value - chroma * max(_0, min(k, _4 - k, _1))
 
 
 @inner(error_model="numpy")
@@ -51,42 +39,11 @@ def _from_hsl(colors):
         colors[2, j] = _hsl_channel(_4, hue, chroma, lightness)
 
 
-@inner(error_model="numpy")
-def _from_hsv(colors):
-    """Convert HSV to RGB in place."""
-    for j in range(colors.shape[1]):
-        hue = _6 * (colors[0, j] - np.floor(colors[0, j]))
-        saturation = min(max(colors[1, j], _0), _1)
-        value = min(max(colors[2, j], _0), _1)
-        chroma = saturation * value
-        colors[0, j] = _hsv_channel(_5, hue, chroma, value)
-        colors[1, j] = _hsv_channel(_3, hue, chroma, value)
-        colors[2, j] = _hsv_channel(_1, hue, chroma, value)
-
-
-@inner
-def _from_yuv(colors):
-    """Convert YUV to RGB in place."""
-    for j in range(colors.shape[1]):
-        y = colors[0, j]
-        u = colors[1, j]
-        v = colors[2, j]
-        red = _V_RED * v
-        blue = _U_BLUE * u
-        colors[0, j] = y + red
-        colors[1, j] = y - _GREEN_RED * red - _GREEN_BLUE * blue
-        colors[2, j] = y + blue
-
-
 @njit(cache=True)
 def to_rgb(space, colors, factors):
     """Convert colors (3, D) float32 to RGB in place; rescale by factors (D,); clip below 0."""
     if space == 1:
         _from_hsl(colors)
-    elif space == 2:
-        _from_hsv(colors)
-    elif space == 3:
-        _from_yuv(colors)
     for c in range(3):
         for j in range(colors.shape[1]):
             colors[c, j] = max(colors[c, j], _0)

@@ -11,7 +11,7 @@ import numpy as np
 from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.threads import in_parts
 
-__all__ = ["hold_saturation", "split_hsl", "split_hsv", "split_linear"]
+__all__ = ["split_hsl", "split_linear"]
 
 
 @inner
@@ -33,7 +33,7 @@ def _hue_chroma(r, g, b):
 
 
 @inner
-def _saturated_channel(hue, shift):
+def _pure(hue, shift):
     """Return a component of the fully saturated color of a hue; shift 5, 3, 1 for red, green, blue."""
     k = (shift + 6.0 * hue) % 6.0
     return 1.0 - max(0.0, min(k, 4.0 - k, 1.0))
@@ -52,8 +52,8 @@ def _largest(colors, weights):
 
 @in_parts(lambda colors, *_: len(colors))
 @kernel(error_model="numpy")
-def split_linear(begin, end, colors, weights, base, covariance):
-    """Write the weighted mean into base (n, 3), subtract it from the colors; write their covariance (n, 3, 3)."""
+def split_linear(begin, end, colors, weights, base):
+    """Write the weighted mean into base (n, 3), and subtract it from the colors."""
     for g in range(begin, end):
         total = 0.0
         for d in range(weights.shape[1]):
@@ -65,13 +65,6 @@ def split_linear(begin, end, colors, weights, base, covariance):
             base[g, c] = s / total
             for d in range(weights.shape[1]):
                 colors[g, c, d] -= base[g, c]
-        for c in range(3):
-            for e in range(c + 1):
-                s = 0.0
-                for d in range(weights.shape[1]):
-                    s += np.float64(weights[g, d]) * colors[g, c, d] * colors[g, e, d]
-                covariance[g, c, e] = s / total
-                covariance[g, e, c] = s / total
 
 
 @in_parts(lambda colors, *_: len(colors))
@@ -103,11 +96,7 @@ def split_hsl(begin, end, colors, weights, scales, base, saturation, by_saturati
         turn = np.arctan2(north, east) / (2.0 * np.pi)
         turn -= np.floor(turn)
         base[g, 0] = turn
-        offsets = (
-            _saturated_channel(turn, 5.0) - 0.5,
-            _saturated_channel(turn, 3.0) - 0.5,
-            _saturated_channel(turn, 1.0) - 0.5,
-        )
+        offsets = (_pure(turn, 5.0) - 0.5, _pure(turn, 3.0) - 0.5, _pure(turn, 1.0) - 0.5)
         squares = offsets[0] ** 2 + offsets[1] ** 2 + offsets[2] ** 2
         sums = np.zeros(4)
         for d in range(weights.shape[1]):
@@ -130,115 +119,3 @@ def split_hsl(begin, end, colors, weights, scales, base, saturation, by_saturati
         for d in range(weights.shape[1]):
             saturation[g, d] -= base[g, 1]
             lightness[g, d] -= base[g, 2]
-
-
-@inner
-def _nearest_lightness(color, offsets, saturation):
-    """Return the L at which HSL with this hue and saturation is nearest to a color in RGB, and the effect of a step.
-
-    RGB is linear in L below and above 1/2: L (1 + 2 S q) and L (1 - 2 S q) + 2 S q with q = h - 1/2.
-    """
-    best = np.inf
-    nearest = 0.0
-    change = 0.0
-    for half in range(2):
-        sign = 1.0 - 2.0 * half
-        along = 0.0
-        length = 0.0
-        for c in range(3):
-            slope = 1.0 + 2.0 * sign * saturation * offsets[c]
-            along += slope * (color[c] - 2.0 * half * saturation * offsets[c])
-            length += slope * slope
-        light = along / length if length > 1e-12 else 0.5
-        light = min(max(light, 0.5 * half), 0.5 + 0.5 * half)
-        error = 0.0
-        for c in range(3):
-            shown = light * (1.0 + 2.0 * sign * saturation * offsets[c]) + 2.0 * half * saturation * offsets[c]
-            error += (color[c] - shown) ** 2
-        if error < best:
-            best = error
-            nearest = light
-            change = length
-    return nearest, change
-
-
-@in_parts(lambda colors, *_: len(colors))
-@kernel(error_model="numpy")
-def hold_saturation(begin, end, colors, weights, scales, base, lightness, by_lightness):
-    """Replace lightness by the nearest in RGB with hue and saturation held at their bases; see `split_hsl`."""
-    for g in range(begin, end):
-        turn = base[g, 0]
-        scale = scales[g]
-        offsets = (
-            _saturated_channel(turn, 5.0) - 0.5,
-            _saturated_channel(turn, 3.0) - 0.5,
-            _saturated_channel(turn, 1.0) - 0.5,
-        )
-        total = 0.0
-        mean = 0.0
-        for d in range(weights.shape[1]):
-            lightness[g, d] = 0.0
-            by_lightness[g, d] = 0.0
-            if weights[g, d] <= 0.0:
-                continue
-            color = (colors[g, 0, d] / scale, colors[g, 1, d] / scale, colors[g, 2, d] / scale)
-            light, change = _nearest_lightness(color, offsets, base[g, 1])
-            lightness[g, d], by_lightness[g, d] = light, weights[g, d] * scale * scale * change
-            total += by_lightness[g, d]
-            mean += by_lightness[g, d] * light
-        base[g, 2] = mean / total if total > 0.0 else 0.0
-        for d in range(weights.shape[1]):
-            lightness[g, d] -= base[g, 2]
-
-
-@in_parts(lambda colors, *_: len(colors))
-@kernel(error_model="numpy")
-def split_hsv(begin, end, colors, weights, scales, base, value, by_value):
-    """Compute HSV of RGB / scale: bases (n, 3), V - V_ref (n, D) and the weights of its errors in RGB (n, D).
-
-    With hue and saturation held, RGB is V times a tint: V is the nearest to the color.
-    """
-    for g in range(begin, end):
-        largest = _largest(colors[g], weights[g])
-        scale = np.float64(largest) if largest > 0.0 else 1.0
-        scales[g] = scale
-        east = 0.0
-        north = 0.0
-        color = 0.0
-        all_color = 0.0
-        for d in range(weights.shape[1]):
-            value[g, d] = 0.0
-            if weights[g, d] <= 0.0:
-                continue
-            r = colors[g, 0, d] / scale
-            green = colors[g, 1, d] / scale
-            b = colors[g, 2, d] / scale
-            hue, spread = _hue_chroma(r, green, b)
-            high = max(r, green, b)
-            pure = spread / high if high > 1e-7 else 0.0
-            value[g, d] = high
-            east += weights[g, d] * pure * np.cos(2.0 * np.pi * hue)
-            north += weights[g, d] * pure * np.sin(2.0 * np.pi * hue)
-            color += weights[g, d] * high * high * pure
-            all_color += weights[g, d] * high * high
-        turn = np.arctan2(north, east) / (2.0 * np.pi)
-        turn -= np.floor(turn)
-        base[g, 0] = turn
-        base[g, 1] = color / all_color if all_color > 0.0 else 0.0
-        tint = (
-            1.0 - base[g, 1] * (1.0 - _saturated_channel(turn, 5.0)),
-            1.0 - base[g, 1] * (1.0 - _saturated_channel(turn, 3.0)),
-            1.0 - base[g, 1] * (1.0 - _saturated_channel(turn, 1.0)),
-        )
-        change = tint[0] ** 2 + tint[1] ** 2 + tint[2] ** 2
-        total = 0.0
-        mean = 0.0
-        for d in range(weights.shape[1]):
-            along = tint[0] * colors[g, 0, d] + tint[1] * colors[g, 1, d] + tint[2] * colors[g, 2, d]
-            value[g, d] = along / (change * scale) if weights[g, d] > 0.0 else 0.0
-            by_value[g, d] = weights[g, d] * scale * scale * change
-            total += by_value[g, d]
-            mean += by_value[g, d] * value[g, d]
-        base[g, 2] = mean / total if total > 0.0 else 0.0
-        for d in range(weights.shape[1]):
-            value[g, d] -= base[g, 2]
