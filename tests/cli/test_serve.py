@@ -204,7 +204,7 @@ def test_the_garbage_collector_passes_over_what_stays(package: Path, monkeypatch
     frozen = []
     gc.unfreeze()  # what tests set aside does not count
 
-    def run(server: Server) -> None:
+    def run(server: Server, **_: object) -> None:
         frozen.append(gc.get_freeze_count())
         server._socket.close()
 

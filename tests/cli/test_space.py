@@ -28,7 +28,7 @@ def test_voxels_of_two_rooms_are_free_where_eyes_are(tmp_path: Path, capsys: Cap
     assert said["files"] == [str(out), str(out.with_name("rooms.voxel.bin"))]
     assert said["bytes"] == sum(path.stat().st_size for path in out.parent.iterdir())
     voxels = load_voxels(out)
-    space, _ = load_source.navigable(("builtin:two_rooms", None))
+    space, _ = load_source("builtin:two_rooms", None).navigable()
     assert space is not None
     x, y, z = space.free.shape  # the file has whole blocks of four
     assert said["solid_voxels"] == np.count_nonzero(voxels.solid[:x, :y, :z])
