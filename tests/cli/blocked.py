@@ -47,9 +47,9 @@ def make_quick() -> None:
     shape._VOXELS = 1 << 16
     serve = Server.run
 
-    def run(self: Server) -> None:
+    def run(self: Server, *, hung_s: float | None = None) -> None:
         self.stop()  # ends as soon as it accepts
-        serve(self)
+        serve(self, hung_s=hung_s)
 
     Server.run = run  # type: ignore[method-assign]
 
