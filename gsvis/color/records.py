@@ -329,15 +329,15 @@ def quantize(
 
 
 def bytes_per_term(name: str, precision: Precision | str | None = "wire") -> float:
-    """Return the bytes of one term of a variant: function if there are several, center, decay, intensities.
+    """Return the bytes of one term of a variant: center, decay, intensities.
 
     Args:
         name: Name of the variant.
         precision: A name from `PRECISIONS`, or a `Precision`; None for float32 throughout.
 
     Examples:
-        >>> bytes_per_term("rgb"), bytes_per_term("axis"), bytes_per_term("rgb", None)
-        (4.5, 3.0, 24.0)
+        >>> bytes_per_term("rgb"), bytes_per_term("hsl"), bytes_per_term("rgb", None)
+        (4.5, 3.125, 24.0)
     """
     return _term_bits(variant(name), None if precision is None else _precision(precision)) / 8
 
