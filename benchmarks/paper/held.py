@@ -2,7 +2,8 @@
 
 `hsl-l` and `hsv` hold the hue and the saturation of the mean color, `yuv` its two color differences. What varies is the
 lightness, the value or the luma, as a base and terms of orthogonal matching pursuit. Colors of a Gaussian are divided
-by its largest channel first, so that they fit the space. Directions run from the eye to the Gaussian.
+by its largest channel first, so that they fit the space. Directions run from the eye to the Gaussian. Terms stay on
+the atoms that the pursuit picks; `fit_srbf`, which fits the rows beside these, also moves its terms.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from gsvis.scene.icosphere import face_directions, face_shares, icosphere
 
 __all__ = ["HELD", "HeldColors", "fit_held"]
 
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 HELD = ("hsl-l", "hsv", "yuv")
@@ -120,7 +122,7 @@ def fit_held(
     )
 
 
-def _signals(g: Gaussians, faces: NDArray[np.float32], name: str) -> tuple[F64, F64, F64, F64, F64]:
+def _signals(g: Gaussians, faces: NDArray[np.float32], name: str) -> tuple[F64, F64, F64, F32, F32]:
     """Return held colors, bases, scales, and the numbers over directions (n, D) less the base, with their weights."""
     weights = (faces[:, :, None] * face_shares(4)).reshape(len(faces), -1).astype(np.float64)
     weights[weights.max(axis=1) <= 0.0] = 1.0
@@ -132,13 +134,15 @@ def _signals(g: Gaussians, faces: NDArray[np.float32], name: str) -> tuple[F64, 
     if name == "yuv":
         held = mean - (mean @ _LUMA)[:, None]
     elif name == "hsv":
-        held = mean / np.maximum(mean.max(axis=1, keepdims=True), 1e-12)
+        most = mean.max(axis=1, keepdims=True)
+        held = np.where(most > 0.0, mean / np.maximum(most, 1e-12), 1.0)  # black on all sides has no tint
     else:
         held = hsl_to_rgb(np.concatenate([rgb_to_hsl(np.clip(mean, 0.0, 1.0))[:, :2], np.full((len(g), 1), 0.5)], 1))
     values, slopes = _nearest(name, held, colors)
     effect = weights * slopes * scales[:, None] ** 2  # weight of an error in RGB
     base = (effect * values).sum(axis=1) / np.maximum(effect.sum(axis=1), 1e-300)
-    return held, base, scales, values - base[:, None], np.maximum(effect, 1e-12 * (weights > 0.0))
+    targets = (values - base[:, None]).astype(np.float32)
+    return held, base, scales, targets, np.maximum(effect, 1e-12 * (weights > 0.0)).astype(np.float32)
 
 
 def _nearest(name: str, held: F64, colors: F64) -> tuple[F64, F64]:

@@ -31,6 +31,19 @@ def fitted(g: Gaussians, name: str, terms: int) -> HeldColors:
 
 
 @pytest.mark.parametrize("name", HELD)
+def test_what_is_black_on_all_sides_stays_black(name: str) -> None:
+    g = scene(gray=True)
+    base = g.sh0.copy()
+    base[0] = -5.0
+    changes = g.shN.copy()
+    changes[0] = 0.0
+    dark = Gaussians(g.means, g.quats, g.scales, g.opacities, base, changes)
+    shown = fitted(dark, name, 2).colors(g.means, EYES[0])
+    assert np.isfinite(shown).all()
+    assert shown[0].max() < 1e-6
+
+
+@pytest.mark.parametrize("name", HELD)
 def test_gray_that_changes_with_direction_is_found(name: str) -> None:
     g = scene(gray=True)
     none, few, many = (fitted(g, name, terms) for terms in (0, 4, 16))
