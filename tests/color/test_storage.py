@@ -249,7 +249,7 @@ def test_a_newer_version_is_refused_with_a_clear_line(saved: tuple[Path, Gaussia
         (b'"gaussians":30', b'"gaussians":31', "gaussians: expected 31 as the header says, got 30"),
         (b'"variant":"hsl"', b'"variant":"yuv"', "variant: expected one of"),
         (b'"variant":"hsl"', b'"variant":"rgb"', "column 'terms': expected list"),
-        (b'"variant":"hsl"', b'"variant":["a"]'[:15], "variant: expected one of"),
+        (b'"variant":"hsl"', b'"variant":["a"]', "variant: expected one of"),
         (b"opacities", b"opac\xff\xfeies", "an Arrow schema"),
         (b'"quantized":null', b'"quantized":1234', "quantized: expected an object"),
         (b"opacities", b"opacitiez", "column 'opacities'"),
