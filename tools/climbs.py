@@ -4,7 +4,7 @@ A step of the walk is the first call of a function of another room by a function
 properties of values are no steps, nor are calls of the rooms that every room uses: files, jobs and kernels. A step
 climbs back if its room is above the room of the step before, by the order in `tests/test_imports.py`.
 
-Run `python tools/walk.py` in the root of the repository. It takes a minute.
+Run `python tools/climbs.py` in the root of the repository, with Python 3.11 or newer. It takes a minute.
 """
 
 from __future__ import annotations
