@@ -2,9 +2,9 @@
 
 All cells of a scene, as `gsvis pvs` builds them: its navigable space, its grid, its default configuration, worker
 processes. The ruler is the median of forward cubemaps, 6 x 320^2 pixels with all threads of one process, by the
-rasterizer of the same checkout. The same
-eyes are drawn before and after the build; where the two medians differ, the load of the machine did too. The ratio is
-taken with the median of both together. Kernels are compiled before, on a small scene.
+rasterizer of the same checkout; results up to 0.3.0 have the rasterizer of commit 70806c2 as ruler, so they do not
+compare. The same eyes are drawn before and after the build; where the two medians differ, the load of the machine did
+too. The ratio is taken with the median of both together. Kernels are compiled before, on a small scene.
 
 A stage lasts from the end of the one before to its own end; "viewpoints" includes the plan of the build, and "cells"
 starting its workers. Memory is the proportional set size (PSS) of all processes together, this one with the ruler in it

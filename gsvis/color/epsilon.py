@@ -197,7 +197,7 @@ class EpsilonCalibration:
         return self.epsilon / factor, self.epsilon * factor
 
     def as_dict(self) -> dict[str, Any]:
-        """Return JSON values, which `gsvis.report.load_staircase_result` reads from a file."""
+        """Return JSON values; `load_staircase_result` of `benchmarks/paper/staircase.py` reads them from a file."""
         return {
             "format": "gsvis-epsilon",
             "version": 1,

@@ -1,7 +1,7 @@
 """Draw a random number for each Gaussian by what it looks like, not by its place in a file.
 
 Samples that are chosen by these numbers are the same Gaussians in any order, unit and frame: a package sorts its
-Gaussians along a curve, and the order of that curve is another one in another unit.
+Gaussians along a curve, and the order along that curve depends on the unit.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ __all__ = ["draw_by_content"]
 
 U64 = NDArray[np.uint64]
 _MIX = np.uint64(0x9E3779B97F4A7C15)
-_SHELLS = 1024.0  # per octave of the distance from the middle, which tells Gaussians of one color apart
+_SHELLS = 1024.0  # per octave of the distance from the middle, for Gaussians of one color and opacity
 
 
 def draw_by_content(g: Gaussians, seed: int = 0) -> NDArray[np.float64]:
     """Return (N,) random numbers in [0, 1), one for each Gaussian.
 
-    They depend on opacity and base color. Gaussians that are equal in these are told apart by their distance from the
-    middle, and by their order where that is equal too.
+    They depend on opacity and base color. Where these are equal they also depend on the distance from the middle, and
+    where that is equal too, on the order.
 
     Args:
         g: The scene, N Gaussians.

@@ -33,7 +33,7 @@ def test_order_unit_and_frame_change_no_number(scale: float) -> None:
     moved = g.transform(turn, scale * np.array([3.0, -2.0, 1.0]), scale)[order]
     same = draw_by_content(moved) == draw_by_content(g)[order]
     assert same[order % 2 == 1].all()
-    assert same.mean() > 0.95  # equal ones in one shell are told apart by their order
+    assert same.mean() > 0.95  # the order decides between equal ones in one shell
     assert np.mean(np.isin(order[thin(moved, 100)[0]], thin(g, 100)[0])) > 0.95
     assert find_detail(moved)[1] == pytest.approx(scale * find_detail(g)[1], rel=0.02)
 
