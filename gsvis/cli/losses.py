@@ -19,6 +19,7 @@ class _Lines(logging.Handler):
         self._said: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
+        """Print a message once, on one line."""
         line = " ".join(record.getMessage().split())
         if line in self._said:
             return

@@ -202,6 +202,7 @@ def training_grows(shares: Sequence[float]) -> float:
 
 
 def _check_fits(need: int, max_memory: int, scene: tuple[int, int], remedy: str) -> None:
+    """Raise if a command needs more bytes than `--max-memory` allows."""
     if need > max_memory:
         raise ValueError(
             f"--max-memory: expected at least {least_size_of(need)} for {scene[0]:,} Gaussians of SH degree {scene[1]},"

@@ -277,6 +277,7 @@ def _compare(path: Path, wanted: StoredObject, name: str = "") -> None:
 
 
 def _checked(name: str) -> str:
+    """Return a name, or raise if it cannot be a file name everywhere."""
     if not _NAME.fullmatch(name):
         raise ValueError(f"name: expected lower-case letters, digits, points and dashes, got {name[:40]!r}")
     return name

@@ -157,6 +157,7 @@ class _Estimator:
         )
 
     def _levels(self) -> None:
+        """Estimate the stage of the levels."""
         stages = self.stages
         config = self.config.levels
         sizes = ", ".join(f"{n} {c:,}" for n, c in zip(self.levels.names, self.counts, strict=True))
@@ -222,6 +223,7 @@ class _Estimator:
         return None
 
     def _cost(self, exact: SrbfColors | None) -> None:
+        """Estimate the stage that measures what rounding costs."""
         views = self.config.cost_views
         what = f"{views.count:,} views of {views.width} x {views.height}"
         if exact is not None and self.stages.work.whole(self.stages.cost_name(self.levels, exact)):
@@ -231,6 +233,7 @@ class _Estimator:
         self.found.append(StageEstimate("cost", "to do", what, seconds, 100))
 
     def _fidelity(self, exact: SrbfColors | None, store: VisibilityStore | None) -> None:
+        """Estimate the stage that compares the package with the scene."""
         stages = self.stages
         views = self.config.fidelity_views
         what = f"{views.count:,} views of {views.width} x {views.height}, {_IMAGES} images of each"
@@ -253,6 +256,7 @@ class _Estimator:
         return float(4 * (14 + 3 * self.levels.union.shN.shape[1]))
 
     def _expect_terms(self) -> int:
+        """Return the expected number of terms of all Gaussians."""
         fit = self.config.colors.fit
         if self.levels.union.sh_degree == 0:
             return 0
@@ -260,6 +264,7 @@ class _Estimator:
 
 
 def _sizes(stages: Stages) -> list[tuple[int, int, int]]:
+    """Return the sizes of the levels that training will make."""
     assert isinstance(stages.scene, Gaussians)
     assert stages.config.levels is not None
     return stages.config.levels.sizes(len(stages.scene))

@@ -208,6 +208,7 @@ class StageTrial:
         return float(np.mean([self._seconds(partial(work, cameras[c])) for c in range(1, len(cameras))]))
 
     def _seconds(self, work: Callable[[], object]) -> float:
+        """Return how long some work takes."""
         began = self._clock()
         work()
         return self._clock() - began

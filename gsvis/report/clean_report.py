@@ -209,6 +209,7 @@ def _share(count: int, of: int) -> str:
 
 
 def _lead(document: dict[str, Any]) -> str:
+    """Return the first paragraph: how many Gaussians can go."""
     gone = document["gaussians"] - document["kept"]
     return (
         f"<p class='lead'>Of {document['gaussians']:,} Gaussians {gone:,} can go"
@@ -218,6 +219,7 @@ def _lead(document: dict[str, Any]) -> str:
 
 
 def _tiles(document: dict[str, Any]) -> str:
+    """Return the row of large figures."""
     shown = [(f"{document['kept']:,}", "Gaussians stay", f"of {document['gaussians']:,}")]
     shown += [(f"{each['removed']:,}", name, _MEANING[name]) for name, each in document["classes"].items()]
     if document["cost"]:
@@ -232,6 +234,7 @@ def _tiles(document: dict[str, Any]) -> str:
 
 
 def _classes(document: dict[str, Any]) -> str:
+    """Return the section with one row for each class of what can go."""
     rows = []
     for name, each in document["classes"].items():
         cost = each["cost"]
@@ -252,6 +255,7 @@ def _classes(document: dict[str, Any]) -> str:
 
 
 def _inside(figures: dict[str, Figure]) -> str:
+    """Return the pictures of held-out views: before, in the colors of the classes, after."""
     text = ""
     k = 0
     captions = {"before": "Before.", "classes": "What would go, in the colors of the classes.", "after": "After."}

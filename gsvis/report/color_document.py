@@ -81,6 +81,7 @@ def write_color_report(
 
 
 def _quality(fitted: FittedColors) -> ColorQuality:
+    """Return the measured quality of a fit, or raise if it was not measured."""
     if fitted.quality is None:
         raise ValueError("fitted: expected colors whose quality was measured, got none; see measure_colors")
     return fitted.quality

@@ -42,6 +42,7 @@ def color_page(fitted: FittedColors, document: dict[str, Any], figures: dict[str
 
 
 def _lead(document: dict[str, Any]) -> str:
+    """Return the first paragraph: terms, bytes and quality in one sentence."""
     terms = document["terms"]
     quality = document["quality"]
     if not terms["total"]:
@@ -58,6 +59,7 @@ def _lead(document: dict[str, Any]) -> str:
 
 
 def _tiles(document: dict[str, Any]) -> str:
+    """Return the row of large figures."""
     quality = document["quality"]
     sizes = document["bytes_per_gaussian"]
     terms = document["terms"]
@@ -73,6 +75,7 @@ def _tiles(document: dict[str, Any]) -> str:
 
 
 def _likeness(document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """Return the section that compares the fit with spherical harmonics."""
     quality = document["quality"]
     rows = []
     for name, key in (("all terms", "all_terms"), ("base colors alone", "base_only")):
@@ -104,6 +107,7 @@ def _likeness(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 
 
 def _pictures(role: str, row: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """Return the four pictures of one view: SH, all terms, base colors, difference."""
     shown = (
         ("sh", "SH, as the scene came."),
         ("srbf", f"Base colors and all terms: {row['psnr']:.1f} dB."),
@@ -115,6 +119,7 @@ def _pictures(role: str, row: dict[str, Any], figures: dict[str, Figure]) -> str
 
 
 def _terms(document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """Return the section on the number of terms of a Gaussian."""
     terms = document["terms"]
     seen = document["directions"]
     text = ""
@@ -137,6 +142,7 @@ def _terms(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 
 
 def _active(document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """Return the section on the share of terms that are active for an eye."""
     quality = document["quality"]
     epsilon = document["epsilon"]
     if "active" not in figures:
@@ -174,6 +180,7 @@ def _active(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 
 
 def _bytes(document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """Return the section on the bytes that the color of a Gaussian takes."""
     sizes = document["bytes_per_gaussian"]
     count = document["gaussians"]
     rows = [
@@ -197,6 +204,7 @@ def _bytes(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 
 
 def _spheres(fitted: FittedColors, figures: dict[str, Figure]) -> str:
+    """Return the figure of colors drawn on spheres; empty without that figure."""
     if "spheres" not in figures:
         return ""
     counts = ", ".join(str(k) for k in COUNTS)

@@ -138,6 +138,7 @@ def draw_bytes(axes: Axes, theme: Theme, fitted: FittedColors) -> None:
 
 
 def _by_epsilon(axes: Axes, theme: Theme, epsilons: F64, mean: F64, spread: tuple[F64, F64]) -> None:
+    """Draw a mean and its spread over epsilon, with the paper's range of epsilons behind."""
     axes.axvspan(*PAPER_EPSILONS, color=theme.published, alpha=0.13, linewidth=0)
     axes.fill_between(epsilons, *spread, color=theme.gathered, alpha=0.18, linewidth=0)
     axes.plot(epsilons, mean, color=theme.gathered, marker="o", markersize=5, linewidth=2.0)

@@ -169,6 +169,7 @@ def _partial_paths(target: Target, depth: bool) -> Iterator[Callable[[Path], Pat
 def _write_depths(
     target: Target, kept: list[Path], place: Callable[[Path], Path], span: tuple[float, float] | None, fps: float
 ) -> None:
+    """Write the depth pictures, as one animation or one PNG a frame, with the range of depths in their texts."""
     near, far = span or (0.0, 0.0)
     said = (
         f"expected depth (camera z, scene units) in viridis, linear from near={near:.9g} to far={far:.9g}; black: none"
@@ -183,6 +184,7 @@ def _write_depths(
 
 
 def _save_animation(path: Path, frames: list[Image.Image], fps: float, comment: str) -> None:
+    """Write pictures as a GIF that repeats."""
     hundredths = max(2, round(100.0 / fps))  # GIF counts in 1/100 s; browsers slow down frames below 2
     out = io.BytesIO()  # if Pillow writes the file itself, it loses the reason of an error
     frames[0].save(

@@ -241,6 +241,7 @@ def _draw_camera(axes: Axes, theme: Theme, ground: Ground, camera: Cameras) -> N
 
 
 def _frame(axes: Axes, ground: Ground) -> None:
+    """Set limits, ticks and labels of a map of the ground."""
     (left, bottom), (right, top) = ground.box
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)

@@ -45,6 +45,7 @@ def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure
 
 
 def _lead(analysis: Analysis, document: dict[str, Any]) -> str:
+    """Return the first paragraph: the mean visible share of a view."""
     mean = float(analysis.visible_fractions.mean())
     return (
         f"<p class='lead'>One view of this scene needs {mean:.1%} of its {analysis.gaussians:,} Gaussians on average."
@@ -54,12 +55,14 @@ def _lead(analysis: Analysis, document: dict[str, Any]) -> str:
 
 
 def _rays(analysis: Analysis) -> str:
+    """Return the pixels and the field of view of a view in words."""
     low, high = analysis.field_of_view
     angle = f"{low:.0f}°" if high - low < 0.5 else f"{low:.0f}° to {high:.0f}°"
     return f"{analysis.cameras.width} x {analysis.cameras.height} pixel rays a view, horizontal field of view {angle}"
 
 
 def _tiles(analysis: Analysis, differs: str) -> str:
+    """Return the row of large figures."""
     fractions = analysis.visible_fractions
     beside = "" if differs else f"paper: {PAPER['mean_visible']:.2%}"
     shown = [
@@ -90,6 +93,7 @@ def _explain_paper(differs: str) -> str:
 
 
 def _visible(analysis: Analysis, figures: dict[str, Figure], differs: str, judged: dict[str, Any] | None) -> str:
+    """Return the section on the share that a view sees."""
     fractions = analysis.visible_fractions
     rows = [
         ("mean of the cameras", f"{fractions.mean():.2%}", f"{PAPER['mean_visible']:.2%}"),
@@ -116,6 +120,7 @@ def _visible(analysis: Analysis, figures: dict[str, Figure], differs: str, judge
 
 
 def _views(analysis: Analysis, figures: dict[str, Figure]) -> str:
+    """Return the section with pictures of views."""
     parts = []
     order = sorted(range(len(analysis.cameras)), key=lambda i: -int(analysis.visible[i]))
     places = {"most": order[0], "median": order[len(order) // 2], "least": order[-1]}
@@ -142,6 +147,7 @@ def _views(analysis: Analysis, figures: dict[str, Figure]) -> str:
 
 
 def _directions(analysis: Analysis, figures: dict[str, Figure], differs: str) -> str:
+    """Return the section on the directions from which Gaussians are seen."""
     gathered = analysis.gathered
     traced = analysis.traced
     count = f"{len(analysis.cameras):,} cameras"
@@ -185,6 +191,7 @@ def _both(cdf: DirectionCdf, faces: int) -> list[str]:
 
 
 def _explain_settling(analysis: Analysis, figures: dict[str, Figure]) -> str:
+    """Return a paragraph on whether more cameras would change the curve of directions."""
     count = len(analysis.cameras)
     change = analysis.settling[-1].change
     if analysis.has_settled:
@@ -225,6 +232,7 @@ def _explain_settling(analysis: Analysis, figures: dict[str, Figure]) -> str:
 
 
 def _explain_agreement(analysis: Analysis) -> str:
+    """Return a paragraph that compares gathered with traced direction sets."""
     found = analysis.agreement
     if found is None:
         return ""
@@ -244,6 +252,7 @@ def _explain_agreement(analysis: Analysis) -> str:
 
 
 def _scene(analysis: Analysis, scene: dict[str, Any]) -> str:
+    """Return the section on the scene and its origin."""
     rows = [("Gaussians", f"{analysis.gaussians:,}"), ("opacity of at least 1/255", f"{analysis.opaque_enough:,}")]
     if analysis.config.checked_rays:
         rows.append(("two tracers, gsvis and Open3D's Embree, agree", describe_check(analysis.check)))

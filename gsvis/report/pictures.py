@@ -75,6 +75,7 @@ def picture_figures(images: Mapping[str, NDArray[np.float32]]) -> dict[str, Figu
 
 
 def _png(image: NDArray[np.float32]) -> bytes:
+    """Return an image (H, W, 3) as the bytes of a PNG."""
     out = io.BytesIO()
     Image.fromarray(eight_bit(image)).save(out, "PNG", compress_level=_LEVEL)
     return out.getvalue()

@@ -95,6 +95,7 @@ def _paper_points(axes: Axes, theme: Theme) -> None:
 
 
 def _curve(axes: Axes, cdf: DirectionCdf, color: str, label: str) -> None:
+    """Draw a CDF of direction fractions: of all Gaussians, and dashed of those seen."""
     x = np.arange(82) / 80.0
     for values, style, width in ((cdf.values, "-", 2.2), (cdf.values_of_seen, (0, (3, 2)), 1.4)):
         below = np.concatenate([[0.0], values])

@@ -135,6 +135,7 @@ def _target(measure: Measure, which: int) -> str:
 
 
 def _lead(quality: Quality, document: dict[str, Any]) -> str:
+    """Return the first paragraph: what a cell sees and what its set misses."""
     store = document["store"]
     return (
         f"<p class='lead'>From one of the {store['grid']['cells']:,} cells of this scene"
@@ -145,6 +146,7 @@ def _lead(quality: Quality, document: dict[str, Any]) -> str:
 
 
 def _tiles(quality: Quality, store: dict[str, Any]) -> str:
+    """Return the row of large figures."""
     by_key = {each.key: each for each in quality.figures()}
     shown = [(f"{store['visible_share']['mean']:.1%}", "of the scene is visible from a cell, on average", "")]
     for key, label in (
@@ -159,6 +161,7 @@ def _tiles(quality: Quality, store: dict[str, Any]) -> str:
 
 
 def _cells(store: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """Return the section on the cells, with their map."""
     looked = store["viewpoints"]
     certified = store["certificates"]
     above = store["cells_above_limit"]
@@ -194,6 +197,7 @@ def _cells(store: dict[str, Any], figures: dict[str, Figure]) -> str:
 
 
 def _quality(quality: Quality, document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """Return the section on quality: each figure with its target and its worst case."""
     config = quality.config
     count = quality.psnr[..., 0].size
     rows = []
@@ -239,6 +243,7 @@ def _quality(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
 
 
 def _classes(quality: Quality, figures: dict[str, Figure]) -> str:
+    """Return the section on what is lost when the lightest weight classes are left out."""
     trades = quality.trades()
     whole = quality.gaussians * quality.bytes_per_gaussian / 1e6
     rows = [("the whole scene", f"{quality.gaussians:,}", f"{whole:.2f}", "", "100%", "", "", "", "")]
@@ -271,6 +276,7 @@ def _classes(quality: Quality, figures: dict[str, Figure]) -> str:
 
 
 def _worst(quality: Quality, figures: dict[str, Figure]) -> str:
+    """Return the table of the worst eyes."""
     rows = []
     for m in quality.worst(_WORST).tolist():
         x, y, z = quality.centers[m]
@@ -302,6 +308,7 @@ def _worst(quality: Quality, figures: dict[str, Figure]) -> str:
 
 
 def _store(store: dict[str, Any]) -> str:
+    """Return the table of what the file of visible sets holds."""
     grid = store["grid"]
     sizes = store["bytes"]
     x, y, z = grid["shape"]

@@ -139,6 +139,7 @@ def describe_eyes(visit: dict[str, Any]) -> str:
 
 
 def _lead(document: dict[str, Any]) -> str:
+    """Return the first paragraph: scene, link, systems and remarks."""
     remarks = "".join(f"<p class='lead'><strong>{escape(remark)}</strong></p>" for remark in content_remarks(document))
     link = document["link"]
     config = document["config"]
@@ -166,6 +167,7 @@ def _reference_of(visits: list[dict[str, Any]]) -> str:
 
 
 def _tiles(document: dict[str, Any]) -> str:
+    """Return the row of large figures; empty if no view shows anything."""
     systems = next((v["systems"] for v in document["visits"] if v["views"]["with_content"]), None)
     if systems is None:
         return ""
@@ -183,6 +185,7 @@ def _or_never(value: float | None, to_text: Format) -> str:
 
 
 def _start(simulation: Simulation, document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """Return the section on the first seconds."""
     step = document["config"]["tick"]
     caption = f"PSNR of what is shown against the full scene, measured every {1000 * step:.0f} ms."
     text = figure(figures.get("start"), "PSNR in the first seconds", caption)
@@ -192,6 +195,7 @@ def _start(simulation: Simulation, document: dict[str, Any], figures: dict[str, 
 
 
 def _pictures(v: int, visit: Visit, figures: dict[str, Figure]) -> str:
+    """Return what each system shows at a few moments of a visit."""
     names = ["", *(session.playback.name for session in visit.sessions)]
     text = ""
     for t in sorted({t for t, _, _ in visit.pictures}):
@@ -207,6 +211,7 @@ def _pictures(v: int, visit: Visit, figures: dict[str, Figure]) -> str:
 
 
 def _quality_at(visit: Visit, which: int, t: float) -> str:
+    """Return the PSNR of a session at time `t` in words."""
     session = visit.sessions[which]
     k = int((session.times <= t + 1e-9).sum()) - 1
     if not session.content[k]:
@@ -218,6 +223,7 @@ def _quality_at(visit: Visit, which: int, t: float) -> str:
 
 
 def _session(document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """Return the section with the paper's figures 9 to 12 over time."""
     qoe = document["config"]["qoe"]
     score = (
         f"QoE of each step (figure 9 of the paper): PSNR / {qoe['psnr_scale']:g} dB less {qoe['delay_weight']:g} times"
@@ -235,6 +241,7 @@ def _session(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 
 
 def _explain_sent(document: dict[str, Any], figures: dict[str, Figure]) -> str:
+    """Return the section on shares and bytes that have arrived, figures 13 and 14."""
     ours = document["visits"][0]["systems"][0]["system"]
     shares = (
         f"Shares of the Gaussians, of all levels together, and of the SRBFs that {escape(ours)} has sent (figure 13)."
@@ -263,6 +270,7 @@ def _explain_world(name: str, scene: dict[str, Any]) -> str:
 
 
 def _tables(document: dict[str, Any]) -> str:
+    """Return a table of figures for each visit."""
     text = ""
     for visit in document["visits"]:
         header, rows = format_figures(visit["systems"])
@@ -272,6 +280,7 @@ def _tables(document: dict[str, Any]) -> str:
 
 
 def _explain_assumptions(document: dict[str, Any]) -> str:
+    """Return the list of what the simulation assumes."""
     config = document["config"]
     link = document["link"]
     text = (

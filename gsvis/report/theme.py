@@ -115,6 +115,7 @@ def draw_png(
 
 
 def _style(theme: Theme) -> dict[Any, Any]:
+    """Return the settings of matplotlib for a theme."""
     return {
         "figure.facecolor": theme.paper,
         "savefig.facecolor": theme.paper,
