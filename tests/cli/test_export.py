@@ -36,7 +36,9 @@ def test_a_package_becomes_a_site(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main(["export", str(tmp_path / "s.gsvis"), "-o", str(tmp_path / "site")]) == 0
     output = " ".join(capsys.readouterr().out.split())
     assert "120 Gaussians" in output
+    assert "file server that answers ranges" in output
     assert "http.server" in output
+    assert "has no ranges" in output
     scene = Reader(tmp_path / "site" / "scene").scene
     assert (scene["name"], len(scene["levels"])) == ("s", 3)
     assert main(["export", str(tmp_path / "s.gsvis"), "-o", str(tmp_path / "site"), "--json"]) == 0

@@ -63,6 +63,17 @@ def test_browsers_get_pages_and_all_others_json(plain: Path, viewer: Path) -> No
         assert (status, b"<b>" in body, b"none&lt;b&gt;" in body) == (404, False, True)
 
 
+def test_addresses_of_a_scene_are_percent_encoded_and_lead_to_it(plain: Path, viewer: Path, tmp_path: Path) -> None:
+    scene = tmp_path / "a b%ü.gsvis"
+    shutil.copytree(plain, scene)
+    with serving(scene) as server:
+        (row,) = json.loads(ask(server, "/")[2])["scenes"]
+        assert (row["name"], row["view"], row["manifest"]) == (
+            "a b%ü", "view/a%20b%25%C3%BC", "packages/a%20b%25%C3%BC/manifest.json",
+        )  # fmt: skip
+        assert [ask(server, "/" + row[kind])[0] for kind in ("view", "manifest")] == [200, 200]
+
+
 def test_a_page_can_load_and_ask_nothing_but_this_server(plain: Path, viewer: Path) -> None:
     with serving(plain, origins=("https://friend.example",)) as server:
         for path, status in (("/", 200), ("/view/plain", 200), ("/view/none", 404)):

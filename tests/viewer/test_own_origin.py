@@ -75,7 +75,7 @@ def test_a_served_page_opens_no_other_origin_and_keeps_its_token(browser: Any, p
             page.wait_for_function(DRAWN, timeout=1000 * PATIENCE)
             for link in links(page_at, other):
                 page.goto(link)
-                page.wait_for_function(SAID, arg="No scene is named", timeout=1000 * PATIENCE)
+                page.wait_for_function(SAID, arg="This page may not open that scene", timeout=1000 * PATIENCE)
             settings = quote(f"http://{other}/settings.json", safe="")
             page.goto(f"{page_at}?settings={settings}&token={TOKEN}")
             page.wait_for_function(DRAWN, timeout=1000 * PATIENCE)
@@ -110,7 +110,7 @@ def test_a_site_and_a_page_in_one_file_open_no_other_origin(browser: Any, tmp_pa
                 page.wait_for_function(DRAWN, timeout=1000 * PATIENCE)
                 for link in links(f"{address}/{name}", other):
                     page.goto(link)
-                    page.wait_for_function(SAID, arg="No scene is named", timeout=1000 * PATIENCE)
+                    page.wait_for_function(SAID, arg="This page may not open that scene", timeout=1000 * PATIENCE)
     assert heard == []
 
 

@@ -360,6 +360,34 @@ def test_pictures_links_and_full_screen(visit: Open, address: str) -> None:
     page.wait_for_function("() => document.fullscreenElement === null")
 
 
+@pytest.mark.parametrize("query", ["", "?noui"])
+def test_a_click_or_touch_leaves_no_ring_around_the_scene_a_key_does(visit: Open, query: str) -> None:
+    page = visit(ROOM + query, has_touch=True)
+    ring = "getComputedStyle(document.querySelector('main canvas')).outlineStyle"
+    for press in (page.mouse.click, page.touchscreen.tap):
+        press(600, 400)
+        page.keyboard.press("ArrowLeft")
+        assert page.evaluate("document.activeElement.tagName") == "CANVAS"
+        assert page.evaluate(ring) == "none"
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.press("Tab")
+    page.locator("main canvas").first.focus()
+    assert page.evaluate(ring) == "solid"
+
+
+def test_a_server_that_never_answers_is_not_called_a_lost_connection(visit: Open) -> None:
+    page = visit(f"{ROOM}?silent", ready=False)
+    page.wait_for_function("window.fake")
+    for _ in range(4):
+        page.evaluate("fake.become({kind: 'waiting', seconds: 2, message: 'scene.json: no connection'})")
+        page.evaluate("fake.become({kind: 'connecting'})")
+    card = page.get_by_role("alert")
+    card.get_by_text("No answer from the scene's server").wait_for()
+    assert page.get_by_text("The connection is lost").count() == 0
+    page.evaluate("fake.become({kind: 'streaming'})")
+    card.wait_for(state="hidden")
+
+
 def test_a_lost_connection_a_lost_picture_and_their_return_are_said(visit: Open) -> None:
     page = visit()
     page.evaluate("fake.become({kind: 'waiting', seconds: 5, message: 'closed'})")

@@ -36,6 +36,7 @@ class FakeViewer extends EventTarget implements ViewerLike {
     if (new URLSearchParams(location.search).has("nowebgl")) throw new Error("This browser does not offer WebGL2.");
     this.background = options.background ?? [0, 0, 0];
     Object.assign(window, { fake: this });
+    if (new URLSearchParams(location.search).has("silent")) return; // a server that never answers
     setTimeout(() => {
       this.header = HEADER;
       this.dispatchEvent(new Event("header"));

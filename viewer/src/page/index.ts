@@ -3,7 +3,7 @@
 import * as gsvis from "../core/index.ts";
 import { permitOf, readAddress } from "./address.ts";
 import { make, meta } from "./dom.ts";
-import { NO_SCENE } from "./messages.ts";
+import { NO_SCENE, REFUSED_SCENE } from "./messages.ts";
 import { Notices } from "./notice.ts";
 import { awaitStream, locate } from "./scene.ts";
 import { ThemeChoice } from "./theme.ts";
@@ -32,5 +32,5 @@ if (page.scene) {
   const notices = new Notices({ retry: () => location.reload(), token: () => undefined });
   new ThemeChoice(() => undefined);
   document.querySelector("main")?.replaceChildren(notices.card, make("p"));
-  notices.stop(NO_SCENE);
+  notices.stop(/[?&]content=/.test(location.search) ? REFUSED_SCENE : NO_SCENE);
 }

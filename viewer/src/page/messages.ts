@@ -21,6 +21,16 @@ export const NO_SCENE: Message = {
   text: "Open one from the list.",
 };
 
+export const REFUSED_SCENE: Message = {
+  title: "This page may not open that scene",
+  text: "It lies on another server. Whoever serves this page can name that one.",
+};
+
+export const NO_ANSWER: Message = {
+  title: "No answer from the scene's server",
+  text: "It is down, or does not let this page read the scene. The page keeps trying.",
+};
+
 export const LOST_CONTEXT = "The graphics card has taken the picture back. It is drawn again as soon as it returns.";
 export const BAD_HASH = "The view in the address could not be read. You are at the first view.";
 export const NOTHING = "Nothing of the scene can be seen from here. Key R leads to the first view.";

@@ -30,11 +30,13 @@ export class Pointers {
     canvas.addEventListener("pointerup", (event) => this.#lift(event));
     canvas.addEventListener("pointercancel", (event) => this.#drop(event));
     canvas.addEventListener("wheel", (event) => this.#wheel(event), { passive: false });
+    canvas.addEventListener("blur", () => delete canvas.dataset.pointed);
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   }
 
   #press(event: PointerEvent): void {
     this.canvas.setPointerCapture(event.pointerId);
+    this.canvas.dataset.pointed = ""; // no ring: browsers draw one around what a script gives the focus
     this.canvas.focus({ preventScroll: true });
     this.#fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
     this.#start = this.#fingers.size === 1 ? { x: event.clientX, y: event.clientY, time: event.timeStamp } : null;

@@ -16,7 +16,7 @@ import { readHash, writeHash } from "./hash.ts";
 import type { View } from "./hash.ts";
 import { Help } from "./help.ts";
 import { Inspector } from "./inspector.ts";
-import { BAD_HASH, describeState, explainFailure, LOST_CONTEXT, NOTHING, NO_WEBGL } from "./messages.ts";
+import { BAD_HASH, describeState, explainFailure, LOST_CONTEXT, NO_ANSWER, NOTHING, NO_WEBGL } from "./messages.ts";
 import { MODES } from "./navigator.ts";
 import type { Mode, Navigator } from "./navigator.ts";
 import { Notices } from "./notice.ts";
@@ -43,6 +43,7 @@ export interface Core {
 const AHEAD_MS = 200; // most time for the first view to be sent before the page prepares to draw
 const LOOKS_MS = 250; // between two looks at the statistics
 const BLANK_LOOKS = 8; // until the page says that nothing is to be seen
+const MISSES = 4; // waits without any answer until the page says that none may come
 const CLIMB_M = 0.7; // from square to square of a floor
 
 export class ViewPage {
@@ -59,6 +60,7 @@ export class ViewPage {
   #ready: Promise<unknown>;
   #views: View[] = [];
   #view = 0;
+  #misses = 0; // waits since the scene was opened, before its server has said anything
   #blank = 0; // looks at a complete picture without a Gaussian
   #placed = false;
   #focused = false;
@@ -180,6 +182,7 @@ export class ViewPage {
    */
   async #open(): Promise<void> {
     this.#header = null;
+    this.#misses = 0;
     this.#canvas.replaceWith((this.#canvas = make("canvas", {
       tabindex: 0, role: "application", "aria-label": `Scene ${this.scene.name}`, "aria-describedby": "keys",
     })));
@@ -284,10 +287,12 @@ export class ViewPage {
     if (state.kind === "failed") {
       const code = "code" in state && typeof state.code === "number" ? state.code : undefined;
       this.#notices.stop(explainFailure(state.message, code));
-    } else {
+    } else if (state.kind === "waiting" && !this.#header) {
+      if (++this.#misses === MISSES) this.#notices.stop({ ...NO_ANSWER, detail: state.message });
+    } else if (this.#header || state.kind !== "connecting") {
       this.#notices.clear();
     }
-    if (state.kind === "waiting") this.#notices.say(
+    if (state.kind === "waiting" && this.#header) this.#notices.say(
       "The connection is lost. What has arrived stays; the rest comes when the server is back.", true,
     );
     else if (state.kind !== "connecting" && this.#notices.line.textContent?.startsWith("The connection is lost")) {
