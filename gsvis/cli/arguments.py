@@ -284,6 +284,18 @@ class Compared:
     seed: Seed = 0
 
 
+@dataclass(frozen=True, kw_only=True)
+class Learning:
+    """What the fitted colors learn from."""
+
+    photos: Annotated[str | None, hint("none", "DIR")] = None
+    """Photographs to learn colors from, with the COLMAP model or transforms.json that SCENE was trained from."""
+    downscale: Annotated[float | None, readers.FACTOR, hint("1")] = None
+    """Shrink the photographs by this factor."""
+    color_steps: Annotated[int | None, readers.WHOLE, hint("300 with --photos, else 0")] = None
+    """Steps of learning, one view each: photographs, or renders of SCENE without --photos; 0 keeps the fit."""
+
+
 @dataclass(frozen=True)
 class Color:
     """Replace SH colors with a base color and a few terms that can be sent in pieces."""
@@ -296,6 +308,7 @@ class Color:
     """Visible sets of SCENE (gsvis pvs): they hold from where each Gaussian is seen."""
     where: Annotated[Placed, with_help(up=f"{UP}; not with --pvs.")] = Placed()
     fit: AnyFit = AnyFit()
+    learning: Learning = Learning()
     compared: Compared = Compared()
     precision: Annotated[Literal["coarse", "wire", "fine", "exact"], readers.PLAIN] = "wire"
     """Bits of what is written; exact keeps 32 bits a number. (default: wire)"""

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from gsvis.color.fit import FitConfig
     from gsvis.prepare.colors import ColorConfig
     from gsvis.prepare.fitted_colors import FittedColors
+    from gsvis.prepare.learned_colors import Lesson
     from gsvis.prepare.scene_colors import ColorOutputs
     from gsvis.scene.navigable import NavigableSpace
 
@@ -40,6 +41,7 @@ __all__ = ["fit_config", "run_color"]
 
 _HELD_OUT = 1  # stream of random numbers of the held-out views; that of the fit is 0
 _FOV = 60.0
+_STEPS = 300  # of learning from photographs
 _SILENT = ("max_memory", "json", "debug", "drop_invalid")
 
 
@@ -70,6 +72,11 @@ def _check_arguments(command: Color) -> ColorConfig:
     """Check the arguments before work begins; return the settings of the fit."""
     check_source(command.scene, command.lod)
     check_exists(command.pvs)
+    check_exists(command.learning.photos)
+    if _steps(command):
+        require("gsvis color --color-steps", "torch")
+    if command.learning.downscale is not None and command.learning.photos is None:
+        raise ValueError("--downscale: expected --photos with it, got none; leave it out")
     targets = {"out": command.out, "active": command.active}
     for name, path in targets.items():
         if path is not None:
@@ -164,12 +171,50 @@ def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
     if source.union.sh_degree > 0:
         warm_colors(plan.config, status)
     outputs = _outputs(command)
-    fitted = color_scene(source.whole, plan.space, out, outputs, config=plan.config, store=plan.store, progress=status)
+    fitted = color_scene(
+        source.whole,
+        plan.space,
+        out,
+        outputs,
+        config=plan.config,
+        store=plan.store,
+        lesson=_lesson(command, plan, status),
+        progress=status,
+    )
     plan.remarks.extend(_remarks(command, plan, outputs, fitted))
     with resumable(f"{out} is written", "what else was asked for may not be"):
         if fitted.quality is not None and command.report is not None:
             _write_report(command, plan, fitted, status)
     return fitted
+
+
+def _steps(command: Color) -> int:
+    """Return the number of steps of learning."""
+    asked = command.learning.color_steps
+    if asked is not None:
+        return asked
+    return 0 if command.learning.photos is None else _STEPS
+
+
+def _lesson(command: Color, plan: _Plan, status: Status) -> Lesson | None:
+    """Return the images that colors learn from; None if they do not learn."""
+    steps = _steps(command)
+    if not steps:
+        return None
+    from gsvis.prepare.learned_colors import draw_lesson, read_lesson
+
+    learning = command.learning
+    g = plan.source.gaussians
+    seed = command.compared.seed
+    if learning.photos is not None:
+        lesson, remarks = read_lesson(
+            g, learning.photos, steps, downscale=learning.downscale, seed=seed, progress=status
+        )
+        plan.remarks.extend(f" {remark}" for remark in remarks)
+        return lesson
+    if plan.space is None:
+        raise SceneError("there is nowhere to look from; say where eyes may be with --box, or give --photos")
+    return draw_lesson(g, plan.space, steps, seed=seed, progress=status)
 
 
 def _outputs(command: Color) -> ColorOutputs:
@@ -204,6 +249,8 @@ def _remarks(command: Color, plan: _Plan, outputs: ColorOutputs, fitted: FittedC
         remarks.append(" Epsilon was not calibrated: there are no terms to leave out.")
     if fitted.calibration is not None and not fitted.calibration.converged:
         remarks.append(f" Epsilon was not found for certain: {fitted.calibration.reason}.")
+    if fitted.learned is not None and fitted.learned.remark is not None:
+        remarks.append(f" {fitted.learned.remark}")
     if plan.space is None and command.compared.held_out:
         remarks.append(" Nothing was compared: there is nowhere to look from.")
     return remarks
@@ -304,6 +351,11 @@ def _rows(command: Color, source: Source, document: dict[str, Any]) -> list[tupl
     ]
     if document["epsilon"]:
         rows.append(("epsilon", _epsilon(document["epsilon"])))
+    learned = document["learned"]
+    if learned and learned["psnr"]:
+        named = {name: f"{each['mean']:.2f}" for name, each in learned["psnr"].items()}
+        text = f"{named['learned']} dB after learning, {named['fitted']} fitted, {named['sh']} by SH"
+        rows.append((f"{learned['held_out']} held-out {learned['from']}", text))
     cells = document["active_in_cells"]
     if cells:
         share = cells["share_of_all"]

@@ -61,6 +61,7 @@ _SAID = {
     "importance": "weighing Gaussians in views",
     "price": "sharing out terms",
     "fit": "fitting terms",
+    "learn": "learning colors",
     "records": "rounding to records",
     "epsilon": "finding epsilon",
     "terms": "finding active terms of cells",

@@ -17,6 +17,7 @@ from gsvis.color.records import PRECISIONS, bytes_per_base, bytes_per_term, quan
 from gsvis.color.srbf import SrbfColors
 from gsvis.prepare.color_quality import ColorQuality
 from gsvis.prepare.colors import ColorPreparation
+from gsvis.prepare.learned_colors import Learned
 from gsvis.raycast.directions import direction_fractions
 from gsvis.scene.gaussians import Gaussians
 
@@ -53,6 +54,7 @@ class FittedColors:
         quality: Comparison with SH; None if it was not measured.
         cell_shares: (C,) share of all terms that each cell of the visible sets needs; None if it was not measured.
         shown: (N,) bool, Gaussians of the highest of several levels, which pictures show; None for a scene.
+        learned: What learning gained; None if the colors are those of the fit.
     """
 
     gaussians: Gaussians
@@ -65,6 +67,7 @@ class FittedColors:
     quality: ColorQuality | None = None
     cell_shares: F64 | None = None
     shown: NDArray[np.bool_] | None = None
+    learned: Learned | None = None
 
     @property
     def drawn(self) -> tuple[Gaussians, SrbfColors]:
@@ -135,6 +138,7 @@ class FittedColors:
             "epsilon": None if self.epsilon is None else self._epsilon_of(self.epsilon),
             "active_in_cells": active,
             "quality": None if self.quality is None else self.quality.as_dict(),
+            "learned": None if self.learned is None else self.learned.as_dict(),
         }
 
     def _epsilon_of(self, epsilon: float) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.color.epsilon import FLIP_JND, EpsilonCalibration, MetricObserver, calibrate_epsilon
@@ -27,6 +28,7 @@ from gsvis.prepare.approximations import Approximations, flip_difference
 from gsvis.prepare.color_quality import ColorQualityConfig, measure_colors
 from gsvis.prepare.colors import ColorConfig, ColorPreparation, find_kept, prepare_colors
 from gsvis.prepare.fitted_colors import PRECISION_NAMES, FittedColors, round_colors
+from gsvis.prepare.learned_colors import Learned, Lesson, learn_lesson
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
@@ -82,6 +84,7 @@ def color_scene(
     *,
     config: ColorConfig | None = None,
     store: VisibilityStore | None = None,
+    lesson: Lesson | None = None,
     progress: Progress = silent,
 ) -> FittedColors:
     """Fit the colors of a scene, write them, and make the requested measurements.
@@ -93,8 +96,10 @@ def color_scene(
         outputs: What else to write and measure; None means `ColorOutputs()`.
         config: Options of the fit; None means `ColorConfig()`.
         store: Visible sets of the scene; None traces directions instead.
-        progress: Called with the stages of `prepare_colors`, then "records", "epsilon", "terms" and those of
-            `measure_colors`.
+        lesson: Images that the fitted colors then learn from; None keeps the fit. Learning is not kept when it is
+            interrupted: it begins anew from the fit, and ends the same.
+        progress: Called with the stages of `prepare_colors`, then those of `learn_lesson`, "records", "epsilon",
+            "terms" and those of `measure_colors`.
 
     Returns:
         The colors and the figures.
@@ -111,11 +116,16 @@ def color_scene(
     kept = find_kept(scene, space, config, out, sets=sets)
     with _keeping(kept):
         found = prepare_colors(scene, space, config, sets=sets, keep=out, progress=progress)
+        shown = scene.member(len(scene) - 1) if isinstance(scene, Levels) else None
+        learned: Learned | None = None
+        if lesson is not None:
+            found, learned = _learn(union_of(scene), found, lesson, outputs.precision, shown, progress)
         progress("records", 0, 1)
         colors = round_colors(found.fit.colors, outputs.precision)
         progress("records", 1, 1)
-        shown = scene.member(len(scene) - 1) if isinstance(scene, Levels) else None
-        fitted = FittedColors(union_of(scene), colors, found, outputs.precision, 0, outputs.epsilon, shown=shown)
+        fitted = FittedColors(
+            union_of(scene), colors, found, outputs.precision, 0, outputs.epsilon, shown=shown, learned=learned
+        )
         if outputs.calibrate and outputs.epsilon is None:
             calibration = _calibrate(scene, space, fitted, outputs.observed, progress)
             epsilon = outputs.fallback if calibration is None else calibration.epsilon
@@ -126,6 +136,24 @@ def color_scene(
         kept.remove()
     with _written(out):
         return _examine(scene, space, outputs, store, fitted, progress)
+
+
+def _learn(
+    g: Gaussians,
+    found: ColorPreparation,
+    lesson: Lesson,
+    precision: str,
+    shown: NDArray[np.bool_] | None,
+    progress: Progress,
+) -> tuple[ColorPreparation, Learned]:
+    """Return a preparation with learned colors, and what was gained."""
+
+    def to_records(colors: SrbfColors) -> SrbfColors:
+        """Round colors as the file does."""
+        return round_colors(colors, precision)
+
+    colors, learned = learn_lesson(g, found.fit.colors, lesson, to_records, shown=shown, progress=progress)
+    return replace(found, fit=replace(found.fit, colors=colors)), learned
 
 
 @contextmanager
@@ -192,6 +220,7 @@ def _write(
         "views": asdict(config.views),
         "directions": found.sets_from,
         "levels": levels,
+        "learned": None if fitted.learned is None else fitted.learned.as_dict(),
         "epsilon": fitted.epsilon,
         "epsilon_from": None if fitted.calibration is None else fitted.calibration.as_dict(),
     }

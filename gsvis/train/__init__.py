@@ -17,10 +17,12 @@ from gsvis.train.merge import merge_gaussians
 from gsvis.train.photos import Photos, load_photos
 
 if TYPE_CHECKING:
+    from gsvis.train.colors import LearnConfig, learn_colors, learn_sh
     from gsvis.train.trainer import Trainer, TrainResult, train
 
 __all__ = [
     "DensifyConfig",
+    "LearnConfig",
     "LevelQuality",
     "LevelsConfig",
     "Photos",
@@ -34,6 +36,8 @@ __all__ = [
     "choose_subsets",
     "gaussians_from_points",
     "importance",
+    "learn_colors",
+    "learn_sh",
     "load_photos",
     "measure_levels",
     "measure_views",
@@ -47,15 +51,25 @@ __all__ = [
 ]
 
 
+_NEED_TORCH = {
+    "LearnConfig": "colors",
+    "TrainResult": "trainer",
+    "Trainer": "trainer",
+    "learn_colors": "colors",
+    "learn_sh": "colors",
+    "train": "trainer",
+}  # name: module
+
+
 def __getattr__(name: str) -> Any:
     """Import names that need torch on first use."""
-    if name in ("TrainResult", "Trainer", "train"):
+    if name in _NEED_TORCH:
+        from importlib import import_module
+
         from gsvis._extras import require
 
         require(f"gsvis.train.{name}", "torch")
-        from gsvis.train import trainer
-
-        return getattr(trainer, name)
+        return getattr(import_module(f"gsvis.train.{_NEED_TORCH[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -131,6 +131,7 @@ def load_photograph_views(
     photos: str | os.PathLike[str],
     size: tuple[int, int] | None = None,
     *,
+    downscale: float | None = None,
     progress: Progress = silent,
 ) -> LevelViews:
     """Load photos of a scene: seven of eight for training, the eighth held out.
@@ -139,13 +140,14 @@ def load_photograph_views(
         g: The scene, trained from the same reconstruction.
         photos: Folder of a COLMAP model or a `transforms.json` with its images.
         size: Pixels (width, height) to shrink them to; None keeps their size.
+        downscale: Factor to shrink them by instead.
         progress: Called with stage "photos".
 
     Raises:
         GsvisError: If they cannot be read, or show nothing of the scene.
         ValueError: If the size is invalid.
     """
-    read = load_photos(photos, size=size, progress=progress)
+    read = load_photos(photos, size=size, downscale=downscale, progress=progress)
     views, held_out = read.views.split(_EVERY)
     remarks = list(read.remarks)
     wrong = "check that they show this scene, in its frame"

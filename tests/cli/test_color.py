@@ -21,7 +21,9 @@ from gsvis.prepare.fitted_colors import PRECISION_NAMES
 from gsvis.pvs import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import two_rooms
+from gsvis.scene.view_sampling import ViewSampling
 from tests.cli.halted import Halted
+from tests.train.photo_files import write_photos
 
 Capture = pytest.CaptureFixture[str]
 QUICK = ["--views", "4", "--held-out", "2", "--width", "48", "--height", "36", "--max-terms", "2", "--mean-terms", "1"]
@@ -127,6 +129,40 @@ def test_no_terms_and_no_view_dependence(ply: Path, tmp_path: Path, capsys: Capt
     assert "nothing to fit" in text
     _, colors = load_srbf(tmp_path / "b.arrow")
     assert (len(colors), colors.num_terms) == (len(load_scene(tmp_path / "plain.ply")), 0)
+
+
+@pytest.fixture
+def few_renders(monkeypatch: pytest.MonkeyPatch) -> None:
+    from gsvis.prepare import learned_colors
+
+    monkeypatch.setattr(learned_colors, "RENDERS", ViewSampling(9, 48, 36, stream=3))
+
+
+def test_colors_learn_from_renders(ply: Path, tmp_path: Path, capsys: Capture, few_renders: None) -> None:
+    words = [ply, "-o", tmp_path / "a.arrow", *QUICK, "--color-steps", "20"]
+    found = document(capsys, *words)
+    learned = found["learned"]
+    assert (learned["from"], learned["views"], learned["held_out"]) == ("renders", 7, 2)
+    assert learned["psnr"]["sh"]["mean"] == 100.0  # the scene itself
+    assert learned["psnr"]["learned"]["mean"] != learned["psnr"]["fitted"]["mean"]
+    assert srbf_info(tmp_path / "a.arrow").provenance["learned"]["config"]["steps"] == 20
+    assert document(capsys, *words[:2], tmp_path / "b.arrow", *words[3:])["learned"] == learned
+    assert (tmp_path / "a.arrow").read_bytes() == (tmp_path / "b.arrow").read_bytes()
+    assert document(capsys, ply, "-o", tmp_path / "c.arrow", *QUICK)["learned"] is None
+
+
+def test_colors_learn_from_photographs(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    photos = write_photos(tmp_path / "photos")
+    out = tmp_path / "a.arrow"
+    found = document(capsys, ply, "-o", out, "--photos", photos, "--color-steps", "10", *QUICK)
+    learned = found["learned"]
+    assert (learned["from"], learned["views"], learned["held_out"]) == ("photographs", 8, 2)
+    assert set(learned["psnr"]) == {"sh", "fitted", "learned"}
+    unlike = [remark for remark in found["remarks"] if "unlike the photographs" in remark]
+    assert len(unlike) == 1  # they show something else
+    said = refused(capsys, ply, "-o", out, "--photos", tmp_path / "none")
+    assert "no such file or folder" in said
+    assert "--downscale: expected --photos" in refused(capsys, ply, "-o", out, "--downscale", "2")
 
 
 def test_a_report(ply: Path, tmp_path: Path, capsys: Capture) -> None:

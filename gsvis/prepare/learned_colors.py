@@ -1,0 +1,190 @@
+"""Improve fitted colors by learning from photographs or renders, and measure what it gained.
+
+Rounded colors are measured, as records hold them. Views that measure are never learned from.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.color.srbf import SrbfColors
+from gsvis.progress import Progress, silent
+from gsvis.render.metrics import psnr
+from gsvis.render.rasterizer import rasterize
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.view_sampling import ViewSampling
+from gsvis.train.history import MOST_PSNR
+from gsvis.train.images import PosedImages, render_views
+
+if TYPE_CHECKING:
+    from gsvis.train.colors import LearnConfig
+
+__all__ = ["RENDERS", "Learned", "Lesson", "draw_lesson", "learn_lesson", "read_lesson"]
+
+F64 = NDArray[np.float64]
+
+RENDERS = ViewSampling(256, 320, 240, stream=3)
+"""Views to learn from without photographs; streams 0 to 2 are those of the fit, of held-out views and of epsilon."""
+
+_GAINED = 0.05  # dB in the mean below which learning is said to have gained nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """What colors are learned from.
+
+    Attributes:
+        views: Images to show.
+        held_out: Images that measure the result; None measures nothing.
+        named: What the images are, such as "photographs".
+        config: How to learn.
+    """
+
+    views: PosedImages
+    held_out: PosedImages | None
+    named: str
+    config: LearnConfig
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """What learning changed, on images that were held out.
+
+    Attributes:
+        named: What the images are.
+        views: Number of images learned from.
+        config: How it was learned, as plain values.
+        psnr: dB at most 100 of each held-out image, by what was drawn: "sh" for the scene with its own colors,
+            "fitted" for the colors before, "learned" for those after, both rounded. Empty without held-out images.
+    """
+
+    named: str
+    views: int
+    config: dict[str, Any]
+    psnr: dict[str, F64] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures as plain numbers and strings for JSON."""
+        found = {name: {"mean": float(each.mean()), "worst": float(each.min())} for name, each in self.psnr.items()}
+        held_out = len(next(iter(self.psnr.values()), ()))
+        return {"from": self.named, "views": self.views, "held_out": held_out, "config": self.config, "psnr": found}
+
+    @property
+    def remark(self) -> str | None:
+        """A sentence for the user if nothing was gained, else None."""
+        if not self.psnr:
+            return None
+        gain = float(self.psnr["learned"].mean() - self.psnr["fitted"].mean())
+        if gain >= _GAINED:
+            return None
+        wrong = "; check that they show this scene, in its frame" if self.named == "photographs" else ""
+        return f"Learning from {self.named} changed held-out views by {gain:+.2f} dB{wrong}."
+
+
+def read_lesson(
+    g: Gaussians,
+    photos: str | os.PathLike[str],
+    steps: int,
+    *,
+    downscale: float | None = None,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> tuple[Lesson, tuple[str, ...]]:
+    """Return photographs to learn from, every eighth held out, and remarks for the user.
+
+    Args:
+        g: The scene, trained from the same reconstruction.
+        photos: Folder of a COLMAP model or a `transforms.json` with its images.
+        steps: Steps of learning.
+        downscale: Factor to shrink the photographs by.
+        seed: Seed of the order of photographs.
+        progress: Called with stage "photos".
+
+    Raises:
+        GsvisError: If they cannot be read, or show nothing of the scene.
+    """
+    from gsvis.train.colors import LearnConfig
+    from gsvis.train.level_views import load_photograph_views
+
+    read = load_photograph_views(g, photos, downscale=downscale, progress=progress)
+    return Lesson(read.views, read.held_out, "photographs", LearnConfig(steps=steps, seed=seed)), read.remarks
+
+
+def draw_lesson(
+    g: Gaussians, space: NavigableSpace, steps: int, *, seed: int = 0, progress: Progress = silent
+) -> Lesson:
+    """Return renders of a scene to learn from, every eighth held out.
+
+    Args:
+        g: The scene with its SH colors.
+        space: Where the eyes are.
+        steps: Steps of learning.
+        seed: Seed of the cameras and of their order.
+        progress: Called with stage "views".
+
+    Raises:
+        SceneError: If no viewpoint is usable.
+    """
+    from gsvis.train.colors import LearnConfig
+
+    cameras = replace(RENDERS, seed=seed).cameras(g, space)
+    views, held_out = render_views(g, cameras, progress=progress).split()
+    return Lesson(views, held_out, "renders", LearnConfig.for_renders(steps, seed))
+
+
+def learn_lesson(
+    g: Gaussians,
+    colors: SrbfColors,
+    lesson: Lesson,
+    to_records: Callable[[SrbfColors], SrbfColors],
+    *,
+    shown: NDArray[np.bool_] | None = None,
+    progress: Progress = silent,
+) -> tuple[SrbfColors, Learned]:
+    """Learn colors from images, and measure them before and after.
+
+    Args:
+        g: N Gaussians with their SH colors.
+        colors: Fitted colors.
+        lesson: The images, and how to learn.
+        to_records: Function that rounds colors as records hold them.
+        shown: (N,) bool, the Gaussians of the highest of several levels; None means all.
+        progress: Called with stages "learn" and "measure".
+
+    Returns:
+        The learned colors, not rounded, and what was gained.
+    """
+    from gsvis.train.colors import learn_colors
+
+    learned = learn_colors(g, colors, lesson.views, lesson.config, shown=shown, progress=progress)
+    about = Learned(lesson.named, len(lesson.views), asdict(lesson.config))
+    held_out = lesson.held_out
+    if held_out is None:
+        return learned, about
+    whole = np.ones(len(g), bool) if shown is None else shown
+    drawn: dict[str, SrbfColors | None] = {
+        "sh": None,
+        "fitted": to_records(colors)[whole],
+        "learned": to_records(learned)[whole],
+    }
+    progress("measure", 0, len(drawn))
+    for done, (name, each) in enumerate(drawn.items(), 1):
+        about.psnr[name] = _psnr_of(g[whole], each, held_out)
+        progress("measure", done, len(drawn))
+    return learned, about
+
+
+def _psnr_of(g: Gaussians, colors: SrbfColors | None, views: PosedImages) -> F64:
+    """Return (C,) dB of drawn views against images, both clipped to [0, 1]; colors None means SH."""
+    found = np.empty(len(views))
+    for c in range(len(views)):
+        image = np.clip(rasterize(g, views.cameras[c], colors=colors).images[0], 0.0, 1.0)
+        found[c] = min(float(psnr(image, np.clip(views.image(c), 0.0, 1.0))), MOST_PSNR)
+    return found

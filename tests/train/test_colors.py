@@ -1,0 +1,97 @@
+"""Learned colors: they approach the images, touch nothing else, and are the same each time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gsvis.color import FitConfig, SrbfColors, fit_srbf
+from gsvis.render import rasterize
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.train.colors import LearnConfig, learn_colors, learn_sh
+from gsvis.train.images import PosedImages, render_views
+
+FEW = LearnConfig(steps=40)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Gaussians:
+    rng = np.random.default_rng(3)
+    n = 40
+    return Gaussians(
+        rng.normal(size=(n, 3)) * 0.5,
+        rng.normal(size=(n, 4)),
+        np.full((n, 3), 0.15),
+        np.full(n, 0.9),
+        rng.normal(size=(n, 1, 3)),
+        0.3 * rng.normal(size=(n, 3, 3)),
+    )
+
+
+@pytest.fixture(scope="module")
+def colors(scene: Gaussians) -> SrbfColors:
+    return fit_srbf(scene, None, FitConfig(mean_terms=1.0, max_terms=2)).colors
+
+
+@pytest.fixture(scope="module")
+def views(scene: Gaussians) -> PosedImages:
+    """Images of the scene in other colors, from all around."""
+    other = replace_sh(scene, scene.sh0 + 0.4, -scene.shN)
+    return render_views(other, Cameras.orbit((0, 0, 0), 3.0, 8, width=32, height=24))
+
+
+def replace_sh(g: Gaussians, sh0: np.ndarray, shN: np.ndarray) -> Gaussians:
+    return Gaussians(g.means, g.quats, g.scales, g.opacities, sh0, shN, facts=g.facts)
+
+
+def error(g: Gaussians, colors: SrbfColors | None, views: PosedImages) -> float:
+    return float(np.mean(np.square(rasterize(g, views.cameras, colors=colors).images - views.images)))
+
+
+@pytest.mark.parametrize("squared", [False, True])
+def test_learning_halves_the_error(scene: Gaussians, colors: SrbfColors, views: PosedImages, squared: bool) -> None:
+    learned = learn_colors(scene, colors, views, replace(FEW, squared=squared, base_rate=0.02, intensity_rate=0.02))
+    assert error(scene, learned, views) < 0.5 * error(scene, colors, views)
+    assert np.array_equal(learned.offsets, colors.offsets)
+    assert np.array_equal(learned.functions, colors.functions)
+
+
+def test_sh_learns_by_the_same_steps(scene: Gaussians, views: PosedImages) -> None:
+    learned = learn_sh(scene, views, replace(FEW, base_rate=0.02, sh_rate=0.02))
+    assert error(learned, None, views) < 0.5 * error(scene, None, views)
+    assert np.array_equal(learned.means, scene.means)
+    assert np.array_equal(learned.opacities, scene.opacities)
+
+
+def test_what_no_view_shows_keeps_its_colors(scene: Gaussians, colors: SrbfColors, views: PosedImages) -> None:
+    hidden = np.arange(len(scene)) % 4 == 0
+    learned = learn_colors(scene, colors, views, FEW, shown=~hidden)
+    terms = hidden[colors.gaussian_ids]
+    assert np.array_equal(learned.base[hidden], colors.base[hidden])
+    assert np.array_equal(learned.intensities[terms], colors.intensities[terms])
+    assert np.array_equal(learned.decays[terms], colors.decays[terms])
+    assert not np.array_equal(learned.base[~hidden], colors.base[~hidden])
+
+
+def test_the_same_run_gives_the_same_colors(scene: Gaussians, colors: SrbfColors, views: PosedImages) -> None:
+    one, two = (learn_colors(scene, colors, views, replace(FEW, steps=5)) for _ in range(2))
+    for name in ("base", "centers", "decays", "intensities"):
+        assert np.array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_no_steps_change_nothing(scene: Gaussians, colors: SrbfColors, views: PosedImages) -> None:
+    assert learn_colors(scene, colors, views, LearnConfig(steps=0)) is colors
+    assert learn_sh(scene, views, LearnConfig(steps=0)) is scene
+
+
+def test_bad_input_is_refused(scene: Gaussians, colors: SrbfColors, views: PosedImages) -> None:
+    with pytest.raises(ValueError, match="views: expected at least one"):
+        learn_colors(scene, colors, views[:0], FEW)
+    with pytest.raises(ValueError, match="colors"):
+        learn_colors(scene, colors[:5], views, FEW)
+    for name, value in (("steps", -1), ("base_rate", -1.0), ("rates_end", 0.0), ("ssim_weight", 2)):
+        with pytest.raises(ValueError, match=name):
+            LearnConfig(**{name: value})
