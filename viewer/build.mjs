@@ -7,7 +7,7 @@ import { gzipSync } from "node:zlib";
 import { basename, dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 import { shorten } from "./shaders.mjs";
-import { bundleTypes } from "./types.mjs";
+import { bundleTypes, elementTypes } from "./types.mjs";
 
 const here = dirname(fileURLToPath(import.meta.url));
 const out = join(here, "../gsvis/viewer");
@@ -62,6 +62,9 @@ if (process.argv.includes("--tests")) {
       page: join(here, "src/page/index.ts"),
       xr: join(here, "src/core/xr.ts"),
       tour: join(here, "src/page/tour.ts"),
+      hotspots: join(here, "src/page/hotspots.ts"),
+      embed: join(here, "src/embed/answer.ts"),
+      element: join(here, "src/embed/element.ts"),
       list: join(here, "src/page/listing.ts"),
     },
   });
@@ -75,9 +78,14 @@ if (process.argv.includes("--tests")) {
   for (const name of ["view.html", "list.html"]) {
     files.push({ path: join(out, name), bytes: readFileSync(join(here, "src/page", name)) });
   }
+  const page = readFileSync(join(here, "src/page/view.html"), "utf8").replaceAll("../viewer/", "./");
+  files.push({ path: join(out, "page.html"), bytes: Buffer.from(page) }); // beside the scripts, as the element finds it
   files.push({ path: join(out, "gsvis-viewer.d.ts"), bytes: Buffer.from(bundleTypes()) });
+  files.push({ path: join(out, "element.d.ts"), bytes: Buffer.from(elementTypes()) });
+  files.push({ path: join(out, "README.md"), bytes: readFileSync(join(here, "README.md")) });
   const { name, version, description, license } = JSON.parse(readFileSync(join(here, "package.json"), "utf8"));
-  const types = "./gsvis-viewer.d.ts", exports = { ".": { types, default: "./gsvis-viewer.js" }, "./*": "./*" };
+  const types = "./gsvis-viewer.d.ts", element = { types: "./element.d.ts", default: "./element.js" };
+  const exports = { ".": { types, default: "./gsvis-viewer.js" }, "./element": element, "./*": "./*" };
   const manifest = JSON.stringify({ name, version, description, license, type: "module", types, exports }, null, 2);
   files.push({ path: join(out, "package.json"), bytes: Buffer.from(`${manifest}\n`) });
   for (const name of ["page.css", "list.css"]) {

@@ -32,6 +32,20 @@ export function bundleTypes() {
   }
 }
 
+/** Return the text of element.d.ts. */
+export function elementTypes() {
+  const folder = join(here, ".element-types");
+  try {
+    const options = "--declaration --emitDeclarationOnly --strict --target es2022 --module esnext --moduleResolution bundler";
+    const more = ["--lib", "es2022,dom", "--types", "", "--allowImportingTsExtensions", "--ignoreConfig", "--outDir", folder];
+    const tsc = join(here, "node_modules/typescript/bin/tsc"), source = join(here, "src/embed/element.ts");
+    execFileSync(process.execPath, [tsc, ...options.split(" "), ...more, source]);
+    return readFileSync(join(folder, "element.d.ts"), "utf8");
+  } finally {
+    rmSync(folder, { recursive: true, force: true });
+  }
+}
+
 /** Join the declarations that index.d.ts exports, and those that they name. */
 function joinTypes(folder) {
   const all = new Map(), index = readFileSync(join(folder, "index.d.ts"), "utf8"), asked = new Set();

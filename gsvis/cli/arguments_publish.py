@@ -25,7 +25,7 @@ from gsvis.cli.options import (
 )
 from gsvis.cli.readers import Count, Flag, Lod, Overwrite, Scene, Seed, Units, Up, hint, out
 
-__all__ = ["Export", "Prepare", "Serve", "Space", "Unpack", "Verify", "View", "World"]
+__all__ = ["Export", "Prepare", "Presented", "Serve", "Space", "Unpack", "Verify", "View", "World"]
 
 _TABLES = "in GSVIS_CACHE, or in ~/.cache/gsvis"
 
@@ -188,6 +188,28 @@ class Unpack:
     output: Output = Output()
 
 
+@dataclass(frozen=True, kw_only=True)
+class Presented:
+    """How the page of a site or of one file presents the scene."""
+
+    title: Annotated[str | None, hint("the scene's name", "TITLE")] = None
+    """Title of the page and of its preview in other pages."""
+    settings: Annotated[str | None, hint("views that show much", "FILE")] = None
+    """A settings.json of SuperSplat or of this page: views, hotspots, camera paths, background."""
+    poster: Annotated[str | None, hint("none", "PICTURE")] = None
+    """A picture that is shown until the scene is drawn."""
+    background: Annotated[str | None, hint("of the settings or theme", "COLOR")] = None
+    """Color behind the scene, such as #20242c."""
+    og_image: Annotated[str | None, hint("none", "PICTURE")] = None
+    """A picture for previews in other pages, a file or an address; some of those pages need the address."""
+    accent: Annotated[str | None, hint("blue", "COLOR")] = None
+    """Color of the controls, such as #d4380d; made lighter or darker until it can be read."""
+    visitor: Flag = False
+    """Leave out what is for engineers: Inspect, counts, levels, cells."""
+    embedders: Annotated[tuple[str, ...], readers.ORIGINS, hint("its own")] = ()
+    """Origins whose pages may ask for pictures and picks in a frame, such as https://blog.example; * is all."""
+
+
 @dataclass(frozen=True)
 class Export:
     """Write a scene for players that need no gsvis: sites, streamed SOG, 3D Tiles."""
@@ -218,6 +240,7 @@ class Export:
     """Name of the scene in the page."""
     page_origins: Annotated[tuple[str, ...], readers.ORIGINS, hint("its own address")] = ()
     """Other origins that a site may open scenes of, by ?content=, such as https://cdn.example.org; for static."""
+    page: Presented = Presented()
     lod: Lod = None
     where: Annotated[
         Shown,

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsvis._text import as_line
-from gsvis.cli.arguments import Export
+from gsvis.cli.arguments import Export, Presented
 from gsvis.cli.asking import settle_visit
 from gsvis.cli.options import PLACING, changed
 from gsvis.cli.source import open_source
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["run_export"]
 
 Triple = tuple[float, float, float]
+_PRESENTED = tuple(each.name for each in fields(Presented))
 _PLACING = tuple(name for name in PLACING if name != "up")
 
 
@@ -46,8 +47,10 @@ def run_export(command: Export) -> None:
     if command.format in ("streamed-sog", "3dtiles", "glb"):
         _export_leaves(command)
         return
-    from gsvis.export import StaticOptions, write_html, write_site
+    from gsvis.export import PageOptions, StaticOptions, check_page, write_html, write_site
 
+    page = PageOptions(**vars(command.page))
+    check_page(page)
     with ExitStack() as stack, Status() as status:
         scene, name, up, source = _open_scene(command, stack, status)
         visit = None
@@ -56,9 +59,9 @@ def run_export(command: Export) -> None:
             up = _triple(visit.up)
         options = StaticOptions(name, up, poses=None if visit is None else visit.starts)
         if command.format == "static":
-            found = write_site(command.out, scene, options, opens=opens, progress=status)
+            found = write_site(command.out, scene, options, opens=opens, page=page, progress=status)
         else:
-            found = write_html(command.out, scene, options, progress=status)
+            found = write_html(command.out, scene, options, page=page, progress=status)
     made = found.scene
     remarks = [] if visit is None else visit.remarks
     if command.output.json:
@@ -98,7 +101,7 @@ def _check_options(command: Export) -> HeadPath | None:
         "--meters-per-unit": (command.meters_per_unit, gltf),
         "--request-volumes": (command.request_volumes or None, ("3dtiles",)),
         "--name": (command.name, pages),
-        **{option: (words, ("static", "html")) for option, words in changed(command, _PLACING).items()},
+        **{option: (words, ("static", "html")) for option, words in changed(command, (*_PLACING, *_PRESENTED)).items()},
         "--page-origins": (command.page_origins or None, ("static",)),
     }
     for option, (value, formats) in given.items():

@@ -9,12 +9,14 @@ for CesiumJS, and `write_glb` one glTF file.
 """
 
 from gsvis.export.page import write_html, write_site
+from gsvis.export.publish import PageOptions, check_page
 from gsvis.export.static import StaticFile, StaticOptions, StaticScene, write_static
 from gsvis.export.streamed import StreamedOptions, StreamedReport, write_streamed_sog
 from gsvis.export.tiles import GlbReport, TilesOptions, TilesReport, write_glb, write_tiles
 
 __all__ = [
     "GlbReport",
+    "PageOptions",
     "StaticFile",
     "StaticOptions",
     "StaticScene",
@@ -22,6 +24,7 @@ __all__ = [
     "StreamedReport",
     "TilesOptions",
     "TilesReport",
+    "check_page",
     "write_glb",
     "write_html",
     "write_site",

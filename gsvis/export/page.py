@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import BackendError, FormatError
+from gsvis.export.publish import PageOptions, check_page, read_settings
 from gsvis.export.static import (
     SCENE,
     StaticOptions,
@@ -52,8 +53,10 @@ VIEWER = Path(__file__).parents[1] / "viewer"
 PAGE = "index.html"
 SETTINGS = "settings.json"
 FOLDER = "scene"
+_EMPTY = '<main class="scene">'
 
-_SCRIPTS = ("page.js", "sort.js", "static.js", "network.js", "tour.js", "xr.js")
+_PARTS = ("embed.js", "hotspots.js", "tour.js")  # loaded when used; a page in one file holds them
+_SCRIPTS = ("page.js", "sort.js", "static.js", "network.js", "xr.js", "element.js", *_PARTS)
 _WORKERS = ("sort.js", "static.js", "network.js")
 _LOG = logging.getLogger(__name__)
 _MARK = "gsvis"  # key in the settings of the digest of exported settings
@@ -107,6 +110,7 @@ def write_site(
     *,
     viewer: str | PathLike[str] | None = None,
     opens: Sequence[str] = (),
+    page: PageOptions | None = None,
     progress: Progress = silent,
 ) -> SiteReport:
     """Write a site: the page, and the static scene that it shows, in the folder `scene`.
@@ -118,6 +122,7 @@ def write_site(
         options: See `write_static`.
         viewer: Folder of the built files of the viewer; None takes those of this package.
         opens: Further origins from which the page may open scenes, such as "https://cdn.example.org"; none by default.
+        page: How the page presents the scene; a `settings.json` that is named there replaces any other.
         progress: See `write_static`.
 
     Raises:
@@ -129,6 +134,8 @@ def write_site(
     target = _check.path("folder", folder)
     files = _viewer_files(VIEWER if viewer is None else Path(viewer))
     origins = parse_origins("opens", opens)
+    shown = page or PageOptions()
+    check_page(shown)
     check_target(target / FOLDER)
     with atomic_folder(target, last=(f"{FOLDER}/{SCENE}", PAGE)) as partial:
         found = write_static(partial / FOLDER, scene, options, progress=progress)
@@ -136,17 +143,21 @@ def write_site(
         (partial / "viewer").mkdir()
         for name in ("page.css", *_SCRIPTS):
             (partial / "viewer" / name).write_bytes(files[name])
-        if not _has_settings_to_keep(target, document["name"]):
-            (partial / SETTINGS).write_bytes(_settings(document))
+        if shown.settings is not None or not _has_settings_to_keep(target, document["name"]):
+            (partial / SETTINGS).write_bytes(_chosen_settings(shown, document))
+        pictures = dict(shown.pictures())
+        for name, data in pictures.items():
+            (partial / name).write_bytes(data)
         policy = f"{_POLICY}; connect-src {connect_sources(origins)}"
         metas = {"gsvis-content": f"{FOLDER}/", "gsvis-settings": SETTINGS}
         if origins:
             metas["gsvis-origins"] = " ".join(origins)
-        page = _page(files["view.html"].decode(), document, metas, policy)
-        (partial / PAGE).write_text(page.replace("../viewer/", "viewer/"), encoding="utf-8")
+        text = _page(files["view.html"].decode(), document, metas, policy, shown)
+        text = text.replace(_EMPTY, _EMPTY + shown.poster_element(inside=False))
+        (partial / PAGE).write_text(text.replace("../viewer/", "viewer/"), encoding="utf-8")
     found = replace(found, path=target / FOLDER)
     remove_other_files(found)
-    names = [PAGE, SETTINGS, f"{FOLDER}/{SCENE}", *(f"viewer/{name}" for name in ("page.css", *_SCRIPTS))]
+    names = [PAGE, SETTINGS, *pictures, f"{FOLDER}/{SCENE}", *(f"viewer/{name}" for name in ("page.css", *_SCRIPTS))]
     return SiteReport(target, found, found.nbytes + sum((target / name).stat().st_size for name in names))
 
 
@@ -170,6 +181,7 @@ def write_html(
     options: StaticOptions | None = None,
     *,
     viewer: str | PathLike[str] | None = None,
+    page: PageOptions | None = None,
     progress: Progress = silent,
 ) -> SiteReport:
     """Write one HTML file that holds the viewer and the scene, and opens from disk.
@@ -179,6 +191,7 @@ def write_html(
         scene: A package, or a bare scene; see `write_static`.
         options: See `write_static`.
         viewer: Folder of the built files of the viewer; None takes those of this package.
+        page: How the page presents the scene.
         progress: See `write_static`.
 
     Raises:
@@ -188,20 +201,24 @@ def write_html(
         OSError: If the file cannot be written.
     """
     target = _check.path("path", path)
+    shown = page or PageOptions()
+    check_page(shown)
     files = _viewer_files(VIEWER if viewer is None else Path(viewer))
     with temporary_folder() as made_in:
         with output_errors(made_in, remedy=TEMPORARY):
             found = write_static(Path(made_in) / FOLDER, scene, options, progress=progress)
         document = json.loads(read_whole(found.path / SCENE))
-        style, tour, script = (_inline(files[name].decode()) for name in ("page.css", "tour.js", "page.js"))
+        style, script, *parts = (_inline(files[name].decode()) for name in ("page.css", "page.js", *_PARTS))
+        hashes = " ".join(_hash(text) for text in (_START, *parts, script))
         policy = (
-            f"default-src 'none'; script-src {_hash(_START)} {_hash(tour)} {_hash(script)}; style-src {_hash(style)};"
-            " img-src data: blob:; connect-src data:; worker-src blob:; base-uri 'none'; form-action 'none'"
+            f"default-src 'none'; script-src {hashes}; style-src {_hash(style)}; img-src data: blob:;"
+            " connect-src data:; worker-src blob:; base-uri 'none'; form-action 'none'"
         )
-        settings = "data:application/json;base64," + b64encode(_settings(document)).decode()
+        settings = "data:application/json;base64," + b64encode(_chosen_settings(shown, document)).decode()
         metas = {"gsvis-content": "inline:", "gsvis-settings": settings}
-        page = _page(files["view.html"].decode(), document, metas, policy)
-        head, tail = _split(page, style)
+        text = _page(files["view.html"].decode(), document, metas, policy, shown)
+        text = text.replace(_EMPTY, _EMPTY + shown.poster_element(inside=True))
+        head, tail = _split(text, style)
         with atomic_path(target) as partial, partial.open("wb") as out:
             out.write(head.encode())
             for name in _WORKERS:
@@ -213,7 +230,7 @@ def write_html(
                     while piece := file.read(_PIECE):
                         out.write(b64encode(piece))
                 out.write(b"</script>\n")
-            modules = "".join(f'<script type="module">{text}</script>\n' for text in (tour, script))
+            modules = "".join(f'<script type="module">{text}</script>\n' for text in (*parts, script))
             out.write(f"<script>{_START}</script>\n{modules}".encode())
             out.write(tail.encode())
         return SiteReport(target, found, target.stat().st_size)
@@ -243,12 +260,13 @@ def _viewer_files(folder: Path) -> dict[str, bytes]:
     return {name: read_whole(folder / name) for name in names}
 
 
-def _page(page: str, document: dict[str, Any], where: Mapping[str, str], policy: str) -> str:
-    """Return the page with its title, its policy, and the addresses of its scene and settings."""
-    metas = {"gsvis-scene": document["name"], **where}
+def _page(page: str, document: dict[str, Any], where: Mapping[str, str], policy: str, shown: PageOptions) -> str:
+    """Return the page with its title, its policy, the addresses of its scene and settings, and what was chosen."""
+    metas = {"gsvis-scene": document["name"], **where, **shown.metas()}
     lines = [f'<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">']
     lines += [f'<meta name="{name}" content="{escape(text)}">' for name, text in metas.items()]
-    title = f"<title>{escape(document['name'])} · gsvis</title>"
+    lines += shown.preview(document["name"])
+    title = f"<title>{escape(shown.title or document['name'] + ' · gsvis')}</title>"
     page = re.sub(r"<title>.*?</title>", lambda _: title, page, count=1, flags=re.DOTALL)
     return re.sub(r"<meta charset=[^>]*>", lambda found: "\n    ".join([found[0], *lines]), page, count=1)
 
@@ -269,6 +287,11 @@ def _inline(script: str) -> str:
 def _hash(text: str) -> str:
     """Return the hash of a script or style, for the policy."""
     return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode()}'"
+
+
+def _chosen_settings(shown: PageOptions, document: dict[str, Any]) -> bytes:
+    """Return the settings of a page: those that were chosen, else its first views."""
+    return _settings(document) if shown.settings is None else _spelled(read_settings(Path(shown.settings)))
 
 
 def _settings(document: dict[str, Any]) -> bytes:

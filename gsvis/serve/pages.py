@@ -92,8 +92,9 @@ class Pages:
             if path.suffix in _KINDS and not path.is_symlink() and path.is_file():
                 self._files[path.name] = _file(read_whole(path), _KINDS[path.suffix])
         view = self._files.get(_VIEW)
-        if view is not None and opens:
-            view = self._files[_VIEW] = _file(view.data.replace(b"<title>", _name_origins(opens), 1), view.kind)
+        metas = _metas({"gsvis-origins": opens, "gsvis-embedders": origins})
+        if view is not None and metas:
+            view = self._files[_VIEW] = _file(view.data.replace(b"<title>", metas + b"<title>", 1), view.kind)
         self._streamed = None if view is None else _file(view.data.replace(b"<title>", _STREAMED, 1), view.kind)
         asks = f"connect-src {connect_sources(opens)}"
         frames = " ".join(["'self'", *(("*",) if "*" in origins else origins)])
@@ -143,6 +144,8 @@ class Pages:
         found = self._files.get(name)
         if found is None:
             return PlainTextResponse("no such file\n", 404)
+        if name.endswith(".html"):
+            return self._with_policy(request, found)
         response = self._send(request, found)
         if name.endswith(".js"):
             response.headers["content-security-policy"] = self._script_policy
@@ -221,9 +224,12 @@ class Pages:
         response.headers["permissions-policy"] = "camera=(), microphone=(), geolocation=(), payment=(), usb=()"
 
 
-def _name_origins(opens: Sequence[str]) -> bytes:
-    """Return the element that tells the page which other origins it may open, and the start of its title."""
-    return f'<meta name="gsvis-origins" content="{escape(" ".join(opens))}">\n    <title>'.encode()
+def _metas(named: dict[str, Sequence[str]]) -> bytes:
+    """Return the elements that name origins to the page: those it may open, and those that may read it in a frame."""
+    lines = [
+        f'<meta name="{name}" content="{escape(" ".join(origins))}">\n    ' for name, origins in named.items() if origins
+    ]
+    return "".join(lines).encode()
 
 
 def _file(data: bytes, kind: str) -> _File:

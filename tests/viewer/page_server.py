@@ -95,6 +95,22 @@ TOUR = {
 }  # fmt: skip
 
 
+SPOTS = {
+    **SETTINGS,
+    "annotations": [
+        {
+            "position": position, "title": title, "text": "One of the places.\nWith a second line.",
+            "extras": {"link": link},
+            "camera": {"initial": {"position": [2, 1, 1.6], "target": [4, 2, 0.6], "fov": 60}},
+        }
+        for position, title, link in (
+            ([3, 1.6, 0.8], "Table", "https://example.org/table"), ([9, 4, 0.2], "Behind the wall", ""),
+            ([0.5, 0.5, 1], HOSTILE, "javascript:alert(1)"),
+        )
+    ],
+}  # fmt: skip
+
+
 @contextmanager
 def serve_page(script: Path) -> Iterator[str]:
     """Serve the pages as `gsvis serve` does; gives the address."""
@@ -110,6 +126,8 @@ def serve_page(script: Path) -> Iterator[str]:
         "/viewer/list.js": ((VIEWER.parent / "gsvis" / "viewer" / "list.js").read_bytes(), "text/javascript"),
         "/view/show%20room": ((pages / "view.html").read_bytes(), "text/html; charset=utf-8"),
         "/viewer/tour.js": ((VIEWER.parent / "gsvis" / "viewer" / "tour.js").read_bytes(), "text/javascript"),
+        "/viewer/hotspots.js": ((VIEWER.parent / "gsvis" / "viewer" / "hotspots.js").read_bytes(), "text/javascript"),
+        "/view/spots.json": (json.dumps(SPOTS).encode(), "application/json"),
         "/view/tour.json": (json.dumps(TOUR).encode(), "application/json"),
         "/view/settings.json": (json.dumps(SETTINGS).encode(), "application/json"),
         **{path: (data, "application/json") for path, data in facts.items()},

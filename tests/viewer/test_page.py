@@ -360,6 +360,43 @@ def test_pictures_links_and_full_screen(visit: Open, address: str) -> None:
     page.wait_for_function("() => document.fullscreenElement === null")
 
 
+def test_hotspots_show_title_text_and_link_and_hide_behind_walls(visit: Open) -> None:
+    page = visit(f"{ROOM}?settings=spots.json")
+    table, wall, behind = page.locator(".spot").all()
+    table.wait_for()
+    page.wait_for_function("document.querySelectorAll('.spot')[1].hasAttribute('data-behind')")
+    assert wall.is_hidden()  # the stand-in for the core meets something 3.2 units away
+    assert behind.is_hidden()  # behind the eye
+    page.evaluate("document.addEventListener('gsvis-hotspot', ({detail}) => { window.spot = detail; })")
+    table.focus()
+    assert table.get_by_text("Table").is_visible()
+    with motion(page, eye):
+        page.keyboard.press("Enter")
+    card = page.locator(".spot-card")
+    assert card.get_by_role("heading").text_content() == "Table"
+    link = card.get_by_role("link")
+    assert (link.get_attribute("href"), link.get_attribute("rel")) == ("https://example.org/table", "noopener noreferrer")
+    assert page.evaluate("spot.index") == 0
+    page.evaluate((VIEWER / "node_modules/axe-core/axe.min.js").read_text())
+    assert page.evaluate(AXE) == []
+    page.keyboard.press("Escape")
+    assert card.is_hidden()
+    assert page.evaluate("document.activeElement.className") == "spot"
+
+
+def test_a_visitor_sees_no_inspector_and_no_counts(visit: Open) -> None:
+    page = visit(f"{ROOM}?visitor")
+    page.evaluate("fake.become({kind: 'complete'}, 1)")
+    assert page.locator(".state").text_content() == ""
+    for key in "igtb":
+        page.keyboard.press(key)
+    assert page.get_by_role("button", name="Inspect").count() == 0
+    assert page.locator(".statistics").is_hidden()
+    page.keyboard.press("o")
+    assert page.get_by_text("Field of view").is_visible()
+    assert page.get_by_text("Color shows").count() == 0
+
+
 @pytest.mark.parametrize("query", ["", "?noui"])
 def test_a_click_or_touch_leaves_no_ring_around_the_scene_a_key_does(visit: Open, query: str) -> None:
     page = visit(ROOM + query, has_touch=True)

@@ -157,7 +157,7 @@ function dots(): { at: [number, number, number]; color: string; size: number }[]
 }
 
 const page = readAddress(
-  location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings"), origins: meta("origins") },
+  location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings"), origins: meta("origins"), visitor: meta("visitor") },
 );
 if (page.scene) {
   const source = { start: () => undefined, pose: () => undefined, view: () => undefined, close: () => undefined };

@@ -5,8 +5,10 @@ import { test } from "node:test";
 import { quaternionOf, rotationOf } from "../src/core/index.ts";
 import { formatBytes, formatCount, formatLength, formatSeconds, formatShare } from "../src/page/format.ts";
 import { FloorGround, LevelGround } from "../src/page/ground.ts";
-import { readHash, writeHash } from "../src/page/hash.ts";
+import { fovOf } from "../src/page/begin.ts";
+import { readHash, readUp, writeHash } from "../src/page/hash.ts";
 import { NOTHING_HELD, Navigator } from "../src/page/navigator.ts";
+import { project } from "../src/page/project.ts";
 import * as rigs from "../src/page/rig.ts";
 import { readSettings } from "../src/page/settings.ts";
 import { along, readTour } from "../src/page/tour.ts";
@@ -213,7 +215,7 @@ test("settings of both versions, other frames, and bad ones", () => {
   const one = readSettings(
     { camera: { ...pose, startAnim: "none" }, background: { color: [0.1, 0.2, 3] }, animTracks: [] }
   );
-  assert.deepEqual(one, { views: [{ eye: [-1, -2, 3], to: [-4, -5, 6], fov: 75 }], background: [0.1, 0.2, 1], animated: false, plays: false });
+  assert.deepEqual(one, { views: [{ eye: [-1, -2, 3], to: [-4, -5, 6], fov: 75, longer: true }], background: [0.1, 0.2, 1], spots: false, animated: false, plays: false });
   const two = readSettings({
     version: 2, frame: "scene", cameras: [{ initial: pose }, { initial: { position: [1, 2] } }],
     annotations: [{ title: " <b>Door</b> ", camera: { initial: pose } }, 7], background: {},
@@ -221,11 +223,44 @@ test("settings of both versions, other frames, and bad ones", () => {
   assert.deepEqual(two.views.map((view) => view.name), [undefined, "<b>Door</b>"]);
   assert.deepEqual(two.views[0].eye, [1, 2, 3]);
   for (const bad of [null, 3, [], { version: 3 }]) assert.throws(() => readSettings(bad), /settings: expected/);
-  assert.deepEqual(readSettings({}), { views: [], background: null, animated: false, plays: false });
+  assert.deepEqual(readSettings({}), { views: [], background: null, spots: false, animated: false, plays: false });
   for (const said of [{ version: 2, startMode: "animTrack" }, { camera: { startAnim: "animTrack" } }]) {
     assert.deepEqual([readSettings(said).animated, readSettings(said).plays], [false, true]);
     assert.equal(readSettings({ ...said, animTracks: [{}] }).animated, true);
   }
+});
+
+test("angles of SuperSplat cover the longer side; others are of the height, and narrow windows see no less than 40 degrees", () => {
+  const own = globalThis as { innerWidth?: number; innerHeight?: number };
+  const across = (fovY: number): number => 2 * Math.atan(Math.tan(fovY / 2) * (own.innerWidth! / own.innerHeight!));
+  for (const [width, height, fov, longer, tall, wide] of [
+    [1600, 900, 75, true, null, 75], [900, 1600, 75, true, 75, null], [1600, 900, 60, false, 60, null],
+    [390, 844, 60, false, null, 40], [390, 844, 20, false, null, 20], [390, 844, 90, false, 90, null],
+  ] as const) {
+    [own.innerWidth, own.innerHeight] = [width, height];
+    const found = fovOf({ fov, longer });
+    near([(tall === null ? across(found) : found) / rigs.DEGREES], [tall ?? wide]);
+  }
+  delete own.innerWidth;
+  delete own.innerHeight;
+});
+
+test("an address can say which way is up", () => {
+  assert.deepEqual(readUp("#eye=1,2,3&up=0,-1,0"), [0, -1, 0]);
+  for (const bad of ["", "#up=0,0,0", "#up=1,2", "#up=x,0,0"]) assert.equal(readUp(bad), null);
+});
+
+test("a point in front is drawn where the camera sees it, one behind is not", () => {
+  const view = { eye: [0, 0, 0], to: [0, 5, 0], fov: 90 } as const, up: Vec3 = [0, 0, 1];
+  const at = (point: Vec3): number[] | null => {
+    const found = project(point, view as never, up, 400, 200);
+    return found && [found.x, found.y, found.depth];
+  };
+  near(at([0, 2, 0])!, [200, 100, 2]);
+  near(at([2, 2, 1])!, [300, 50, 2]);
+  assert.equal(at([0, -1, 0]), null);
+  const far = project([2, 2, 1], { ...view, eye: [0, 0, 0], to: [0, 5, 0] }, [0, 0, -1], 400, 200)!;
+  near([far.x, far.y], [100, 150]);
 });
 
 const TRACK = {
@@ -268,7 +303,7 @@ test("tracks of version 1: the frame is turned, times without a rate are seconds
   const tour = readTour({
     camera: { fov: 50, animTrack: "round" }, animTracks: [{ ...TRACK, name: "other", duration: 1 }, { ...bare, keyframes }],
   });
-  assert.deepEqual(tour(1), { eye: [-1, -2, 3], to: [-0, -5, 0], fov: 50 });
+  assert.deepEqual(tour(1), { eye: [-1, -2, 3], to: [-0, -5, 0], fov: 50, longer: true });
 });
 
 test("a track that makes no sense is refused in one line", () => {

@@ -14,6 +14,8 @@ export interface PageAddress {
   settings: string | null;
   token: string | null; // for streams of the page's own origin alone
   bare: boolean; // no interface
+  visitor: boolean; // nothing that is for engineers
+  permits: Permit;
   still: boolean; // an animation waits until it is asked for
 }
 
@@ -21,6 +23,7 @@ interface Metas {
   scene: string | null; // name of a scene of this server
   content: string | null; // address of a static scene
   settings: string | null;
+  visitor?: string | null;
   origins?: string | null; // other origins that the page may open, with spaces between
 }
 
@@ -40,7 +43,9 @@ export function readAddress(href: string, metas: Metas): PageAddress {
     scene: query.has("content") || metas.content ? sceneAt(pick("content"), metas.scene) : findScene(page, metas.scene),
     settings: pick("settings"),
     token: query.get("token"),
+    permits,
     bare: query.has("noui"),
+    visitor: query.has("visitor") || Boolean(metas.visitor),
     still: query.has("noanim"),
   };
 }

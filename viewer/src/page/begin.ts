@@ -15,6 +15,7 @@ import type { Frame, Vec3 } from "./vector.ts";
 
 const PATIENCE = 2500; // milliseconds that a first picture waits for facts
 const REACH = 3; // scene units ahead of a proposed view, until it is known what lies there
+const LEAST_ACROSS = Math.tan(20 * DEGREES); // half of what a window shows from side to side
 const FAR = 20; // sizes of the scene's cells
 
 export interface Surroundings {
@@ -27,12 +28,18 @@ interface Beginning {
   rig: Rig;
   mode: Mode;
   problem: string | null;
+  view: Pick<View, "fov" | "longer">; // whose angle it has
   focused: boolean; // whether it is known how far away lies what is looked at
 }
 
-export const rigFromView = (view: View, frame: Frame): Rig => rigFromTarget(
-  view.eye, view.to, frame, view.fov * DEGREES,
-);
+export const rigFromView = (view: View, frame: Frame): Rig => rigFromTarget(view.eye, view.to, frame, fovOf(view));
+
+/** Return the angle of a view from the lower to the upper border of the window, radians; narrow windows see more. */
+export function fovOf({ fov, longer }: Pick<View, "fov" | "longer">): number {
+  const { innerWidth, innerHeight } = globalThis, aspect = innerWidth / innerHeight || 1;
+  const half = Math.tan((fov * DEGREES) / 2), least = longer ? 0 : Math.min(half, LEAST_ACROSS);
+  return 2 * Math.atan(longer && aspect > 1 ? half / aspect : Math.max(half, least / aspect));
+}
 
 /** Return views that the scene proposes as people write them. */
 export function viewsFromPoses(poses: readonly StartPose[]): View[] {
@@ -58,11 +65,12 @@ export function begin(hash: string, views: readonly View[], frame: Frame, around
   const proposed = cells || floor ? null : (around.poses[0]?.mode ?? null);
   const mode: Mode = proposed ?? (outside ? "orbit" : floor ? "walk" : "fly");
   const focused = views.length > 0 || (cells !== null && outside);
-  const first = { rig: firstRig(views, frame, around), mode, focused, problem: null };
+  const view = views[0] ?? { fov: NORMAL_FOV / DEGREES };
+  const first = { rig: firstRig(views, frame, around), view, mode, focused, problem: null };
   if (asked instanceof Error) return { ...first, problem: BAD_HASH };
   if (!asked) return first;
   if (cells && isFar(asked.eye, cells)) return { ...first, problem: FAR_HASH };
-  return { rig: rigFromView(asked, frame), mode: asked.mode ?? mode, problem: null, focused: true };
+  return { rig: rigFromView(asked, frame), view: asked, mode: asked.mode ?? mode, problem: null, focused: true };
 }
 
 /** Return the scene units in a meter: as the header says, or so that the cells are about ten meters wide. */
@@ -73,6 +81,12 @@ export function guessMeter(header: Header, cells: Cells | null): number {
 
 function firstRig(views: readonly View[], frame: Frame, { floor, cells, poses }: Surroundings): Rig {
   if (views.length) return rigFromView(views[0], frame);
+  const rig = rigWithin(frame, { floor, cells, poses });
+  return { ...rig, fovY: fovOf({ fov: NORMAL_FOV / DEGREES }) };
+}
+
+/** Return a view that the scene proposes, or one from a good place in it. */
+function rigWithin(frame: Frame, { floor, cells, poses }: Surroundings): Rig {
   if (poses.length) return rigFromPose(poses[0].position, poses[0].rotation, frame, REACH);
   const center = cells && surroundedBy(cells, frame);
   const inside = cells && startInCells(cells, frame);

@@ -4,6 +4,7 @@ import type { Actions } from "./actions.ts";
 
 /** What the page offers; states are asked whenever something has changed. */
 export interface Commands {
+  explains(): boolean; // what is for engineers is offered
   inspecting(): boolean;
   toggleInspecting(): void;
   optionsShown(): boolean;
@@ -36,17 +37,19 @@ export function defineActions(actions: Actions, page: Commands): void {
   const all = [
     {
       id: "inspect", label: "Inspect: click a Gaussian", key: "i", icon: "inspect", pressed: page.inspecting,
+      available: page.explains,
       run: page.toggleInspecting,
     },
     { id: "options", label: "Options", key: "o", icon: "options", pressed: page.optionsShown, run: page.toggleOptions },
     {
       id: "statistics", label: "Statistics", key: "t", icon: "statistics", pressed: page.statisticsShown,
+      available: page.explains,
       run: page.toggleStatistics,
     },
     { id: "share", label: "Copy link to this view", key: "c", icon: "share", run: page.share },
     { id: "picture", label: "Save picture", key: "p", icon: "picture", run: page.savePicture },
-    { id: "paint", label: "Color shows the next", key: "g", run: page.nextPaint },
-    { id: "cells", label: "Cells", key: "b", available: page.cellsKnown, run: page.toggleCells },
+    { id: "paint", label: "Color shows the next", key: "g", available: page.explains, run: page.nextPaint },
+    { id: "cells", label: "Cells", key: "b", available: () => page.explains() && page.cellsKnown(), run: page.toggleCells },
     { id: "home", label: "First view", key: "r", icon: "home", run: page.goHome },
     {
       id: "previous", label: "Previous view", key: ",", icon: "back", available: several, run: () => page.stepView(-1),

@@ -37,6 +37,13 @@ export function formatShare(share: number): string {
   return `${percent < 10 ? percent.toFixed(1) : Math.round(percent)}%`;
 }
 
+/** Return a color such as #20242c, each channel from 0 to 1; null for any other text. */
+export function colorOf(text: string | null): [number, number, number] | null {
+  if (!/^#[0-9a-f]{6}$/i.test(text ?? "")) return null;
+  const [red, green, blue] = [1, 3, 5].map((at) => parseInt(text!.slice(at, at + 2), 16) / 255);
+  return [red, green, blue];
+}
+
 function threeDigits(x: number): string {
   const size = Math.abs(x);
   return x.toFixed(size >= 99.95 ? 0 : size >= 9.995 ? 1 : 2);

@@ -6,13 +6,14 @@ import { make, meta } from "./dom.ts";
 import { NO_SCENE, REFUSED_SCENE } from "./messages.ts";
 import { Notices } from "./notice.ts";
 import { awaitStream, locate } from "./scene.ts";
+import { part } from "./parts.ts";
 import { ThemeChoice } from "./theme.ts";
 import { ViewPage } from "./view.ts";
 import type { Core } from "./view.ts";
 
 const origins = meta("origins"), permits = permitOf(location.href, origins), isOwn = permitOf(location.href);
 const page = readAddress(
-  location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings"), origins },
+  location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings"), visitor: meta("visitor"), origins },
 );
 if (page.scene) {
   const room = gsvis.memoryOfDevice(); // a large one never fills
@@ -26,6 +27,7 @@ if (page.scene) {
   const { scene } = page, known = meta("streamed") && scene.kind === "stream"; // then there is nothing to ask
   void (known ? Promise.resolve({ scene, preparing: false }) : locate(scene, permits)).then(({ scene, preparing }) => {
     const shown = new ViewPage(scene, page, core);
+    if (parent !== window) void part("embed").then((embed) => embed(shown.stage, (meta("embedders") ?? "").split(" ")));
     if (preparing) void awaitStream(scene, permits).then((stream) => stream && shown.change(stream));
   });
 } else {

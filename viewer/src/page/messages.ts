@@ -67,12 +67,12 @@ export function explainFailure(message: string, code?: number): Message {
   return { title, text, detail, retry: true };
 }
 
-/** Return the line of the state that stands below the scene's name. */
-export function describeState(state: SourceState, gaussians: number): string {
+/** Return the line of the state, with a count unless that is null, that stands below the scene's name. */
+export function describeState(state: SourceState, gaussians: number | null): string {
   switch (state.kind) {
     case "connecting": return "Connecting …";
     case "streaming": return gaussians ? `Loading · ${formatCount(gaussians)}` : "Loading …";
-    case "complete": return `${formatCount(gaussians)} Gaussians`;
+    case "complete": return gaussians === null ? "" : `${formatCount(gaussians)} Gaussians`;
     case "waiting":
       return state.seconds >= 1 ? `Retrying in ${Math.ceil(state.seconds)} s` : "Retrying …";
     case "failed": return "Stopped";

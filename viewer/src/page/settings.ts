@@ -1,7 +1,9 @@
 // Reads settings.json as supersplat-viewer has it (versions 1 and 2): first views, annotations, background, and whether
 // there is an animation.
-// Its frame is the scene's, turned by 180 degrees around z; `"frame": "scene"` says that positions are the scene's own.
+// Its frame is the scene's, turned by 180 degrees around z, and its angles cover the longer side of the window;
+// `"frame": "scene"` says that positions are the scene's own, and angles go from the lower to the upper border.
 
+import { LONGER } from "./hash.ts";
 import type { View } from "./hash.ts";
 import { fields, list, vector } from "./json.ts";
 import { FOV_DEGREES } from "./rig.ts";
@@ -11,6 +13,7 @@ import type { Vec3 } from "./vector.ts";
 export interface Settings {
   views: View[];
   background: Vec3 | null; // 0 to 1
+  spots: boolean; // there are annotations with a place, which `hotspots.ts` reads
   animated: boolean; // there is a track, which `tour.ts` reads
   plays: boolean; // from the start
 }
@@ -37,7 +40,7 @@ export function readSettings(json: unknown): Settings {
   const color = vector(fields(all.background)?.color, FARTHEST);
   const bounded = color?.map((c) => clamp(c, 0, 1)) as Vec3 | undefined;
   return {
-    views, background: bounded ?? null, animated: list(all.animTracks).length > 0,
+    views, background: bounded ?? null, spots: list(all.annotations).some((each) => fields(each)?.position), animated: list(all.animTracks).length > 0,
     plays: all.startMode === "animTrack" || fields(all.camera)?.startAnim === "animTrack",
   };
 }
@@ -47,7 +50,7 @@ function addView(views: View[], pose: unknown, name: unknown, own: boolean): voi
   const [eye, to] = [vector(it?.position, FARTHEST), vector(it?.target, FARTHEST)];
   if (!it || !eye || !to || !(distance(eye, to) > 1e-9) || views.length >= MOST_VIEWS) return;
   const turn = (v: Vec3): Vec3 => (own ? v : [-v[0], -v[1], v[2]]);
-  const fov = typeof it.fov === "number" && Number.isFinite(it.fov) ? it.fov : 60;
-  const view: View = { eye: turn(eye), to: turn(to), fov: clamp(fov, ...FOV_DEGREES) };
+  const fov = typeof it.fov === "number" && Number.isFinite(it.fov) ? it.fov : own ? 60 : 75;
+  const view: View = { eye: turn(eye), to: turn(to), fov: clamp(fov, ...FOV_DEGREES), ...(own ? {} : LONGER) };
   views.push(typeof name === "string" && name.trim() ? { ...view, name: name.trim().slice(0, 80) } : view);
 }

@@ -1,5 +1,6 @@
 // Dark, light, or as the system has it; the choice is kept in this browser.
 
+import { meta } from "./dom.ts";
 import type { Vec3 } from "./vector.ts";
 
 export type Theme = "auto" | "dark" | "light";
@@ -31,7 +32,10 @@ export class ThemeChoice {
   }
 
   #apply(): void {
-    document.documentElement.dataset.theme = this.dark ? "dark" : "light";
+    const { dataset, style } = document.documentElement, dark = this.dark;
+    dataset.theme = dark ? "dark" : "light";
+    const [accent, ink] = meta("accent")?.split(" ").slice(dark ? 0 : 2) ?? [];
+    if (ink) (style.setProperty("--accent", accent), style.setProperty("--on-accent", ink));
     this.changed();
   }
 }

@@ -1,8 +1,10 @@
 // Moves a camera along the keys of a track of settings.json, as supersplat-viewer does: cubic curves through positions,
 // targets and angles. A module of its own: pages load it where their settings have a track.
 
+import { LONGER } from "./hash.ts";
 import type { View } from "./hash.ts";
 import { fields, isPositive, list, numbers } from "./json.ts";
+import { offer } from "./parts.ts";
 import { FOV_DEGREES } from "./rig.ts";
 import { clamp } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
@@ -42,19 +44,18 @@ export function readTour(settings: unknown): Tour {
     points.push(...begin);
     points.unshift(...end);
   }
-  const turn = all?.frame === "scene" ? 1 : -1;
+  const own = all?.frame === "scene", turn = own ? 1 : -1;
   const place = (v: number[], from: number): Vec3 => [turn * v[from], turn * v[from + 1], v[from + 2]];
   return (seconds) => {
     const passed = seconds % (loopMode === "pingpong" ? 2 * duration : duration);
     const now = loopMode === "repeat" ? passed : loopMode === "pingpong" ? duration - Math.abs(duration - passed) : seconds;
     if (now > duration) return null;
     const found = along(frames, points, now * rate, track.interpolation === "step" ? null : smoothness);
-    return { eye: place(found, 0), to: place(found, 3), fov: clamp(found[6], ...FOV_DEGREES) };
+    return { eye: place(found, 0), to: place(found, 3), fov: clamp(found[6], ...FOV_DEGREES), ...(own ? {} : LONGER) };
   };
 }
 
-// Not as an export alone: a page in one file holds this script beside its own, and cannot import it.
-(globalThis as { gsvisTour?: typeof readTour }).gsvisTour = readTour;
+offer("tour", readTour);
 
 /**
  * Return the values at a time: on cubic curves whose slope at a key is `smoothness` times that between its neighbors;

@@ -4,34 +4,39 @@ import type { Header, Source } from "../core/types.ts";
 import { Actions } from "./actions.ts";
 import type { PageAddress, SceneAddress } from "./address.ts";
 import { Dock, TitleBar, toolBar } from "./bars.ts";
-import { begin, guessMeter, rigFromView, survey, viewsFromPoses } from "./begin.ts";
+import { begin, fovOf, guessMeter, rigFromView, survey, viewsFromPoses } from "./begin.ts";
 import type { Surroundings } from "./begin.ts";
 import { defineActions } from "./commands.ts";
 import type { Commands } from "./commands.ts";
-import { make } from "./dom.ts";
+import { make, meta } from "./dom.ts";
 import { Drive } from "./drive.ts";
 import { Facts } from "./facts.ts";
 import { FloorGround } from "./ground.ts";
-import { readHash, writeHash } from "./hash.ts";
+import { readHash, readUp, writeHash } from "./hash.ts";
 import type { View } from "./hash.ts";
 import { Help } from "./help.ts";
 import { Inspector } from "./inspector.ts";
+import { colorOf } from "./format.ts";
+import { copyLink, offersWebGL, savePicture, toggleFull } from "./keep.ts";
 import { BAD_HASH, describeState, explainFailure, LOST_CONTEXT, NO_ANSWER, NOTHING, NO_WEBGL } from "./messages.ts";
 import { MODES } from "./navigator.ts";
 import type { Mode, Navigator } from "./navigator.ts";
 import { Notices } from "./notice.ts";
 import { Overlay } from "./overlay.ts";
 import { Panel } from "./panel.ts";
-import { DEGREES, rotation } from "./rig.ts";
+import { part } from "./parts.ts";
+import { DEGREES, pivot, rotation } from "./rig.ts";
 import type { Rig } from "./rig.ts";
 import { factsOf, holdPoses, rest } from "./scene.ts";
 import { readSettings } from "./settings.ts";
 import type { Settings } from "./settings.ts";
 import { Side } from "./side.ts";
+import type { Stage } from "./stage.ts";
 import { StatisticsCard } from "./statistics.ts";
 import { ThemeChoice } from "./theme.ts";
 import type { Tour } from "./tour.ts";
 import { frameFromUp } from "./vector.ts";
+import type { Vec3 } from "./vector.ts";
 import type { PageCamera, ViewerLike, ViewerOptions } from "./viewer-like.ts";
 import { Immersion } from "./xr.ts";
 
@@ -54,7 +59,7 @@ export class ViewPage {
   #header: Header | null = null;
   #facts: Facts;
   #surroundings: Surroundings = { floor: null, cells: null, poses: [] };
-  #settings: Settings = { views: [], background: null, animated: false, plays: false };
+  #settings: Settings = { views: [], background: null, spots: false, animated: false, plays: false };
   #tour: Tour | null = null;
   #toured = 0; // seconds of it that were shown
   #ready: Promise<unknown>;
@@ -67,6 +72,9 @@ export class ViewPage {
   #release: () => void = () => undefined;
   #start: Rig | null = null;
   #ownHash = "";
+  readonly #up: Vec3 | null = readUp(location.hash);
+  #lens: { view: Pick<View, "fov" | "longer">; fovY: number } | null = null; // of the last view that was gone to
+  readonly #followers: ((resting: boolean) => void)[] = [];
   #token: string | null;
 
   readonly #actions = new Actions();
@@ -95,8 +103,8 @@ export class ViewPage {
     );
     this.#drive = new Drive({
       actions: this.#actions, moved: () => this.#sendCamera(),
-      rested: () => (this.#panel.refresh(), this.#actions.changed(), this.#writeAddress()),
-      click: (x, y, withAlt) => void (this.#inspector.on || withAlt ? this.#inspector.inspect(x, y) : undefined),
+      rested: () => (this.#panel.refresh(), this.#actions.changed(), this.#writeAddress(), this.#lead(true)),
+      click: (x, y, withAlt) => void (this.#inspector.on || (withAlt && !this.page.visitor) ? this.#inspector.inspect(x, y) : undefined),
       doubleClick: (x, y) => void this.#goTo(x, y), view: (index) => this.#goToView(index),
       escape: () => this.#side.close() || this.#stopInspecting(),
     });
@@ -134,10 +142,11 @@ export class ViewPage {
   }
 
   #build(): void {
-    document.title = `${this.scene.name} · gsvis`;
+    const poster = this.#root.querySelector(".poster");
+    document.title = meta("title") ?? `${this.scene.name} · gsvis`;
     if (this.page.bare) document.documentElement.dataset.bare = "";
     this.#root.replaceChildren(
-      this.#canvas, this.#overlay.element, this.#inspector.mark, this.#title.element, toolBar(this.#actions),
+      this.#canvas, this.#overlay.element, ...(poster ? [poster] : []), this.#inspector.mark, this.#title.element, toolBar(this.#actions),
       this.#figures.element, this.#side.element,
       this.#drive.joystick.element, this.#dock.element, this.#notices.line, this.#notices.card, this.#spoken,
       make(
@@ -150,7 +159,24 @@ export class ViewPage {
     this.#actions.watch(() => this.#dock.refresh());
     window.addEventListener("hashchange", () => this.#followHash());
     document.addEventListener("fullscreenchange", () => this.#actions.changed());
-    window.addEventListener("resize", () => (this.#viewer?.resize(), this.#drawCells()));
+    window.addEventListener("resize", () => this.#resize());
+  }
+
+  /** Show hotspots, once; no picture waits for them. */
+  async #showSpots(settings: unknown): Promise<void> {
+    const show = await part("hotspots");
+    if (!this.#root.querySelector(".spots")) this.#overlay.element.after(show(this.stage, settings));
+  }
+
+  #resize(): void {
+    const lens = this.#lens;
+    this.#viewer?.resize();
+    if (lens && this.#navigator.shown.fovY === lens.fovY) {
+      this.#navigator.setFov((lens.fovY = fovOf(lens.view)));
+      this.#drive.wake();
+    }
+    this.#drawCells();
+    this.#lead(true);
   }
 
   /** Load settings and facts; neither can stop the scene from being shown. */
@@ -163,10 +189,9 @@ export class ViewPage {
         const said: unknown = await response.json();
         this.#settings = readSettings(said);
         if (this.#settings.animated) {
-          const own = globalThis as { gsvisTour?: typeof import("./tour.ts").readTour };
-          if (!own.gsvisTour) await import(new URL("tour.js", import.meta.url).href);
-          this.#tour = own.gsvisTour!(said);
+          this.#tour = (await part("tour"))(said);
         }
+        if (this.#settings.spots) void this.#showSpots(said);
       } catch (error) {
         this.#notices.say(`The settings could not be used. ${error instanceof Error ? error.message : ""}`.trim());
       }
@@ -210,7 +235,12 @@ export class ViewPage {
       "problem", (event) => this.#notices.say(event instanceof CustomEvent ? String(event.detail) : ""),
     );
     this.#takeState();
-    this.#panel.fill(this.#header);
+    this.#fill(this.#header);
+  }
+
+  /** Fill the options for a scene; visitors need none that explain it. */
+  #fill(header: Header | null): void {
+    this.#panel.fill(this.page.visitor ? null : header);
   }
 
   #restart(): void {
@@ -245,13 +275,13 @@ export class ViewPage {
     if (this.#source !== source || this.#header?.identity === header.identity) return;
     this.#header = header;
     const navigator = this.#navigator, surroundings = this.#surroundings;
-    navigator.reframe(frameFromUp(header.up));
+    navigator.reframe(frameFromUp(this.#up ?? header.up));
     navigator.meter = guessMeter(header, surroundings.cells);
     if (surroundings.floor) navigator.standOn(new FloorGround(surroundings.floor, CLIMB_M * navigator.meter));
     if (!this.#placed) this.#place();
     this.#sendCamera();
     this.#release();
-    this.#panel.fill(header);
+    this.#fill(header);
     this.#actions.changed();
     this.#showBackground();
   }
@@ -259,6 +289,7 @@ export class ViewPage {
   #place(): void {
     const plays = this.#settings.plays && location.hash.length < 2 && !this.page.still && !this.#navigator.calm;
     const first = begin(location.hash, this.#settings.views, this.#navigator.frame, this.#surroundings);
+    this.#lens = { view: first.view, fovY: first.rig.fovY };
     this.#views = this.#settings.views.length ? this.#settings.views : viewsFromPoses(this.#surroundings.poses);
     this.#placed = true;
     this.#focused = first.focused;
@@ -310,8 +341,9 @@ export class ViewPage {
   #look(): void {
     if (!this.#viewer || document.hidden) return;
     const now = this.#viewer.statistics;
+    if (now.firstImageSeconds !== null) this.#root.querySelector(".poster")?.remove();
     this.#showState(
-      now.state.kind, describeState(now.state, now.gaussians), this.#header ? now.gaussians / this.#header.gaussians : 0,
+      now.state.kind, describeState(now.state, this.page.visitor ? null : now.gaussians), this.#header ? now.gaussians / this.#header.gaussians : 0,
     );
     this.#blank = now.state.kind === "complete" && !now.drawn ? this.#blank + 1 : 0;
     if (this.#blank === BLANK_LOOKS) this.#notices.say(NOTHING);
@@ -324,7 +356,7 @@ export class ViewPage {
   }
 
   get #background(): [number, number, number] {
-    return this.#settings.background ?? this.#theme.background;
+    return colorOf(meta("background")) ?? this.#settings.background ?? this.#theme.background;
   }
 
   #showBackground(): void {
@@ -349,6 +381,18 @@ export class ViewPage {
     this.#viewer.camera = camera;
     this.#inspector.mark.hidden = true;
     this.#drawCells();
+    this.#lead(false);
+  }
+
+  #lead(resting: boolean): void {
+    for (const each of this.#followers) each(resting);
+  }
+
+  /** Return where a view stands, and keep its angle as the shape of the window changes. */
+  #rigOf(view: View): Rig {
+    const rig = rigFromView(view, this.#navigator.frame);
+    this.#lens = { view, fovY: rig.fovY };
+    return rig;
   }
 
   #showCells(shown: boolean): void {
@@ -362,7 +406,7 @@ export class ViewPage {
 
   #writeAddress(): void {
     if (!this.#placed) return;
-    this.#ownHash = writeHash(this.#navigator.shown, this.#navigator.frame, this.#navigator.mode);
+    this.#ownHash = writeHash(this.#navigator.shown, this.#navigator.frame, this.#navigator.mode, this.#up);
     try {
       history.replaceState(null, "", this.#ownHash);
     } catch {
@@ -375,9 +419,36 @@ export class ViewPage {
     const asked = readHash(location.hash);
     if (asked instanceof Error) return this.#notices.say(BAD_HASH);
     if (!asked) return;
-    if (asked.mode) this.#setMode(asked.mode);
-    this.#navigator.flyTo(rigFromView(asked, this.#navigator.frame));
+    this.#goToPlace(asked);
+  }
+
+  #goToPlace(view: View, now = false): void {
+    if (view.mode) this.#setMode(view.mode);
+    if (now) this.#navigator.place(this.#rigOf(view));
+    else this.#navigator.flyTo(this.#rigOf(view));
+    if (now) this.#sendCamera();
     this.#drive.wake();
+  }
+
+  /** What scripts of their own see of this page. */
+  get stage(): Stage {
+    const navigator = this.#navigator;
+    return {
+      name: this.scene.name, permits: this.page.permits,
+      look: () => {
+        const { shown, frame, mode } = navigator, { state, gaussians, firstImageSeconds } = this.#viewer?.statistics ?? {};
+        return {
+          view: { eye: shown.eye, to: pivot(shown, frame), fov: shown.fovY / DEGREES }, up: frame.up, mode,
+          width: this.#canvas.clientWidth, height: this.#canvas.clientHeight, state: state?.kind ?? "connecting",
+          message: state && "message" in state ? String(state.message) : "", gaussians: gaussians ?? 0,
+          of: this.#header?.gaussians ?? 0, drawn: firstImageSeconds !== null && firstImageSeconds !== undefined,
+        };
+      },
+      go: (view, now) => this.#goToPlace(view, now), turn: (mode) => this.#setMode(mode),
+      find: async (x, y) => (await this.#viewer?.pick(x, y)) ?? null,
+      picture: () => this.#viewer?.screenshot() ?? Promise.reject(new Error("nothing is drawn yet")),
+      say: (line) => this.#notices.say(line), follow: (each) => void this.#followers.push(each),
+    };
   }
 
   #setMode(mode: Mode): void {
@@ -398,7 +469,7 @@ export class ViewPage {
     if (!view) return;
     this.#view = index;
     if (this.#navigator.mode === "walk" && !this.#navigator.canStandAt(view.eye)) this.#setMode("fly");
-    this.#navigator.flyTo(rigFromView(view, this.#navigator.frame));
+    this.#navigator.flyTo(this.#rigOf(view));
     this.#speak(`View ${view.name ?? index + 1}`);
     this.#actions.changed();
     this.#drive.wake();
@@ -443,8 +514,9 @@ export class ViewPage {
 
   /** What buttons and keys can ask for. */
   #commands(): Commands {
-    const root = document.documentElement;
+    const root = document.documentElement, say = (line: string): void => this.#notices.say(line);
     return {
+      explains: () => !this.page.visitor,
       inspecting: () => this.#inspector.on,
       toggleInspecting: () => {
         this.#inspector.on = !this.#inspector.on;
@@ -462,8 +534,8 @@ export class ViewPage {
         this.#figures.element.hidden = !this.#figures.element.hidden;
         this.#look();
       },
-      share: () => void this.#share(),
-      savePicture: () => void this.#savePicture(),
+      share: () => void (this.#writeAddress(), copyLink(say)),
+      savePicture: () => void savePicture(this.#viewer, this.scene.name, say),
       cellsKnown: () => this.#overlay.known,
       toggleCells: () => {
         this.#showCells(Boolean(this.#overlay.element.hidden));
@@ -494,7 +566,7 @@ export class ViewPage {
       vrOn: () => this.#immersion.on,
       toggleVr: () => void this.#toggleVr(),
       help: () => this.#help.open(),
-      toggleFull: () => void this.#toggleFull(),
+      toggleFull: () => void toggleFull(say),
     };
   }
 
@@ -509,45 +581,4 @@ export class ViewPage {
     }
     this.#actions.changed();
   }
-
-  async #toggleFull(): Promise<void> {
-    try {
-      if (document.fullscreenElement) await document.exitFullscreen();
-      else await document.documentElement.requestFullscreen();
-    } catch {
-      this.#notices.say("The browser does not allow full screen here.");
-    }
-  }
-
-  async #share(): Promise<void> {
-    this.#writeAddress();
-    try {
-      await navigator.clipboard.writeText(location.href);
-      this.#notices.say("The link to this view is copied.");
-    } catch {
-      this.#notices.say("The address of this page holds the view; copy it from there.");
-    }
-  }
-
-  async #savePicture(): Promise<void> {
-    const viewer = this.#viewer;
-    if (!viewer) return;
-    let picture: Blob;
-    try {
-      picture = await viewer.screenshot();
-    } catch (error) {
-      return this.#notices.say(`The picture could not be made. ${error instanceof Error ? error.message : ""}`.trim());
-    }
-    const url = URL.createObjectURL(picture);
-    const link = make("a", { href: url, download: `${this.scene.name.replace(/[^\w.-]+/g, "_") || "scene"}.png` });
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(url), 10_000);
-    this.#notices.say("The picture is saved.");
-  }
-}
-
-function offersWebGL(): boolean {
-  const context = make("canvas", { width: 1, height: 1 }).getContext("webgl2");
-  context?.getExtension("WEBGL_lose_context")?.loseContext();
-  return context !== null;
 }

@@ -1,4 +1,5 @@
 // A page of somebody else that uses the module with its types; test/built.test.ts has tsc check it, and it never runs.
+import "gsvis-viewer/element";
 import {
   cameraOf, type Batch, type Header, type Pick, type Source, type SourceEvents, staticSource, streamSource,
   supportedPrecision, UnsupportedError, Viewer,
@@ -50,6 +51,17 @@ export class OneBatch implements Source {
   close(): void {
     this.#events?.state({ kind: "failed", message: "closed" });
   }
+}
+
+export async function embed(): Promise<Blob> {
+  const element = document.createElement("gsvis-viewer");
+  element.src = "https://example.org/site/";
+  await element.flyTo({ eye: [1, 2, 3] }, { jump: true });
+  const place: { x: number; y: number } | null = await element.project([0, 0, 1]);
+  // @ts-expect-error: no mode has this name
+  element.mode = "swim";
+  console.log(place?.x);
+  return element.screenshot();
 }
 
 export const isUnsupported = (error: unknown): error is UnsupportedError => error instanceof UnsupportedError;

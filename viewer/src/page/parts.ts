@@ -1,0 +1,25 @@
+// Loads scripts that only some pages need. A page in one file holds them beside its own, and cannot import them.
+
+import type { Stage } from "./stage.ts";
+import type { Tour } from "./tour.ts";
+
+/** What each script offers. */
+interface Parts {
+  tour(settings: unknown): Tour;
+  hotspots(stage: Stage, settings: unknown): HTMLElement;
+  embed(stage: Stage, embedders: readonly string[]): void;
+}
+
+type Held = { gsvisParts?: Partial<Parts> };
+
+/** Make a part known to the page; not by an export alone, since a page in one file has no imports. */
+export function offer<K extends keyof Parts>(name: K, part: Parts[K]): void {
+  ((globalThis as Held).gsvisParts ??= {})[name] = part;
+}
+
+/** Return a part, loaded where it is not here yet. */
+export async function part<K extends keyof Parts>(name: K): Promise<Parts[K]> {
+  const held = globalThis as Held;
+  if (!held.gsvisParts?.[name]) await import(new URL(`${name}.js`, import.meta.url).href);
+  return held.gsvisParts![name] as Parts[K];
+}

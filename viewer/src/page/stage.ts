@@ -1,0 +1,36 @@
+// What scripts that a page loads when it needs them see of it: hotspots, authoring, and the voice of a page in a frame.
+// Each is a file of its own, so these names are the ones that `build.mjs` does not shorten.
+
+import type { Permit } from "./address.ts";
+import type { View } from "./hash.ts";
+import type { Mode } from "./navigator.ts";
+import type { Vec3 } from "./vector.ts";
+import type { Pick } from "./viewer-like.ts";
+
+/** Where a page stands: its view, the size of its picture in CSS pixels, and how its scene fares. */
+export interface Look {
+  view: View; // `fov` from the lower to the upper border
+  up: Vec3;
+  mode: Mode;
+  width: number;
+  height: number;
+  state: string; // "connecting", "streaming", "complete", "waiting" or "failed"
+  message: string; // what went wrong
+  gaussians: number; // on the graphics card
+  of: number; // in the scene; 0 until that is known
+  drawn: boolean; // a first picture was shown
+}
+
+export interface Stage {
+  name: string; // of the scene
+  permits: Permit; // which addresses the page may open
+  look(): Look;
+  /** Fly to a view; jump there where `now`. */
+  go(view: View, now?: boolean): void;
+  turn(mode: Mode): void;
+  find(x: number, y: number): Promise<Pick | null>;
+  picture(): Promise<Blob>;
+  say(line: string): void;
+  /** Call back whenever the view has changed or rests. */
+  follow(each: (resting: boolean) => void): void;
+}
