@@ -126,6 +126,8 @@ class Cast:
     """One camera at this point."""
     target: Annotated[tuple[float, ...] | None, readers.POINT, hint("the middle of the scene")] = None
     """What --eye looks at, or --orbit goes around."""
+    view: Annotated[str | None, hint("none", "LINK")] = None
+    """The view of a link to a page of the viewer, or its part behind '#': '#eye=1,2,1.6&to=4,2,1&fov=60'."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -196,11 +196,11 @@ class Presented:
     """Title of the page and of its preview in other pages."""
     settings: Annotated[str | None, hint("views that show much", "FILE")] = None
     """A settings.json of SuperSplat or of this page: views, hotspots, camera paths, background."""
-    poster: Annotated[str | None, hint("none", "PICTURE")] = None
+    poster: Annotated[str | None, hint("none", "FILE")] = None
     """A picture that is shown until the scene is drawn."""
     background: Annotated[str | None, hint("of the settings or theme", "COLOR")] = None
     """Color behind the scene, such as #20242c."""
-    og_image: Annotated[str | None, hint("none", "PICTURE")] = None
+    og_image: Annotated[str | None, hint("none", "FILE")] = None
     """A picture for previews in other pages, a file or an address; some of those pages need the address."""
     accent: Annotated[str | None, hint("blue", "COLOR")] = None
     """Color of the controls, such as #d4380d; made lighter or darker until it can be read."""
@@ -208,6 +208,8 @@ class Presented:
     """Leave out what is for engineers: Inspect, counts, levels, cells."""
     embedders: Annotated[tuple[str, ...], readers.ORIGINS, hint("its own")] = ()
     """Origins whose pages may ask for pictures and picks in a frame, such as https://blog.example; * is all."""
+    page_origins: Annotated[tuple[str, ...], readers.ORIGINS, hint("its own address")] = ()
+    """Other origins that a site may open scenes of, by ?content=, such as https://cdn.example.org; for static."""
 
 
 @dataclass(frozen=True)
@@ -238,8 +240,6 @@ class Export:
     """Length of a scene unit in meters, for 3dtiles and glb."""
     name: Annotated[str | None, hint("that of SCENE", "NAME")] = None
     """Name of the scene in the page."""
-    page_origins: Annotated[tuple[str, ...], readers.ORIGINS, hint("its own address")] = ()
-    """Other origins that a site may open scenes of, by ?content=, such as https://cdn.example.org; for static."""
     page: Presented = Presented()
     lod: Lod = None
     where: Annotated[

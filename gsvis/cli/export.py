@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsvis._text import as_line
-from gsvis.cli.arguments import Export, Presented
+from gsvis.cli.arguments import Export
+from gsvis.cli.arguments_publish import Presented
 from gsvis.cli.asking import settle_visit
 from gsvis.cli.options import PLACING, changed
 from gsvis.cli.source import open_source
@@ -41,7 +42,7 @@ _PLACING = tuple(name for name in PLACING if name != "up")
 def run_export(command: Export) -> None:
     """Write a scene in the format of the command, and print what it takes."""
     walk = _check_options(command)
-    opens = parse_origins("--page-origins", command.page_origins)
+    opens = parse_origins("--page-origins", command.page.page_origins)
     _check_target(command)
     _check_apart(command)
     if command.format in ("streamed-sog", "3dtiles", "glb"):
@@ -49,7 +50,7 @@ def run_export(command: Export) -> None:
         return
     from gsvis.export import PageOptions, StaticOptions, check_page, write_html, write_site
 
-    page = PageOptions(**vars(command.page))
+    page = PageOptions(**{name: value for name, value in vars(command.page).items() if name != "page_origins"})
     check_page(page)
     with ExitStack() as stack, Status() as status:
         scene, name, up, source = _open_scene(command, stack, status)
@@ -102,7 +103,7 @@ def _check_options(command: Export) -> HeadPath | None:
         "--request-volumes": (command.request_volumes or None, ("3dtiles",)),
         "--name": (command.name, pages),
         **{option: (words, ("static", "html")) for option, words in changed(command, (*_PLACING, *_PRESENTED)).items()},
-        "--page-origins": (command.page_origins or None, ("static",)),
+        "--page-origins": (command.page.page_origins or None, ("static",)),
     }
     for option, (value, formats) in given.items():
         if value is not None and command.format not in formats:

@@ -30,6 +30,7 @@ from gsvis.report.frames import Frame, Target, target_of, write_frames
 from gsvis.scene.axes import describe_direction
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.link import parse_link
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.solid import buried
@@ -259,7 +260,7 @@ def check_views(command: Render) -> HeadPath | None:
         ValueError: If they do; the message names them.
     """
     given = {name: value for name, value in values_of(command).items() if value is not None}
-    ways = [way for way in ("cameras", "orbit", "eye") if way in given]
+    ways = [way for way in ("cameras", "orbit", "eye", "view") if way in given]
     if len(ways) > 1:
         raise ValueError(f"--{ways[1]}: expected none with --{ways[0]}, got both; leave one out")
     way = ways[0] if ways else ""
@@ -269,6 +270,8 @@ def check_views(command: Render) -> HeadPath | None:
             raise ValueError(f"--{name}: expected {' or '.join('--' + each for each in wanted)} with it, got it alone")
     if way == "cameras":
         refuse(command, ["fov", "up"], "with --cameras, whose file states it")
+    if way == "view":
+        refuse(command, ["fov"], "with --view, which states it")
     if command.cast.eye is not None and command.cast.eye == command.cast.target:
         point = " ".join(f"{value:g}" for value in command.cast.eye)
         raise ValueError(f"--target: expected a point that is not --eye, got {point} for both")
@@ -313,6 +316,9 @@ def place_cameras(
     fov = command.picture.fov or _FOV
     up, remarks = _up(command, source)
     g = source.gaussians
+    if command.cast.view is not None:
+        camera = parse_link(command.cast.view).camera(up, **size)
+        return camera, None, [*remarks, *check_buried(g, camera.viewpoints, "--view")]
     if command.cast.eye is None and command.cast.orbit is None:
         place = find_place(source, command.where, walk)
         space = place.required("name a place with --eye X Y Z, --orbit N, --box or --around")

@@ -42,7 +42,6 @@ class PageOptions:
         background: Color behind the scene, such as "#20242c"; None takes that of the settings or of the theme.
         og_image: A picture for previews in other pages: a file, or the address of one.
         accent: Color of the controls, such as "#d4380d"; made lighter or darker until text in it can be read.
-        language: Language of the page, such as "de"; None takes the visitor's.
         visitor: Leave out what is for engineers: Inspect, counts, levels, cells.
         embedders: Origins whose pages may read the picture in a frame, such as "https://blog.example"; "*" is all.
     """
@@ -53,7 +52,6 @@ class PageOptions:
     background: str | None = None
     og_image: Path_ | None = None
     accent: str | None = None
-    language: str | None = None
     visitor: bool = False
     embedders: Sequence[str] = ()
 
@@ -63,7 +61,6 @@ class PageOptions:
             "gsvis-title": self.title,
             "gsvis-background": self.background,
             "gsvis-accent": None if self.accent is None else " ".join(accents(self.accent)),
-            "gsvis-language": self.language,
             "gsvis-visitor": "true" if self.visitor else None,
             "gsvis-embedders": " ".join(self.embedders),
         }
@@ -108,7 +105,7 @@ def check_page(page: PageOptions) -> None:
     """Raise unless the options of a page can be used: colors, pictures, settings and origins.
 
     Raises:
-        ValueError: If a color, a picture, a language or an origin is none.
+        ValueError: If a color, a picture or an origin is none.
         FormatError: If the settings are none.
         OSError: If a file cannot be read.
     """
@@ -121,8 +118,6 @@ def check_page(page: PageOptions) -> None:
         if Path(path).suffix.lower() not in _PICTURES:
             raise ValueError(f"{name}: expected a picture ({', '.join(_PICTURES)}), got {path}")
         read_whole(Path(path))
-    if page.language is not None and not re.fullmatch(r"[a-z]{2,3}", page.language):
-        raise ValueError(f"--language: expected a code such as en or de, got {page.language[:100]!r}")
     if "*" not in page.embedders:
         parse_origins("--embedders", page.embedders)
     if page.settings is not None:
@@ -164,7 +159,8 @@ def accents(color: str) -> tuple[str, str, str, str]:
 
 def _readable(color: RGB, theme: str) -> RGB:
     """Return a color mixed with white (dark theme) or black until it stands out of the panel of a theme."""
-    panel, goal = _rgb(_PANELS[theme]), 1.0 if theme == "dark" else 0.0
+    panel = _rgb(_PANELS[theme])
+    goal = 1.0 if theme == "dark" else 0.0
     for step in range(21):
         share = step / 20
         red, green, blue = ((1 - share) * c + share * goal for c in color)

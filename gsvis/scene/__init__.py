@@ -20,6 +20,7 @@ _MODULES = (
     "kinds",
     "lengths",
     "levels",
+    "link",
     "navigable",
     "paths",
     "place",

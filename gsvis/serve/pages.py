@@ -227,7 +227,9 @@ class Pages:
 def _metas(named: dict[str, Sequence[str]]) -> bytes:
     """Return the elements that name origins to the page: those it may open, and those that may read it in a frame."""
     lines = [
-        f'<meta name="{name}" content="{escape(" ".join(origins))}">\n    ' for name, origins in named.items() if origins
+        f'<meta name="{name}" content="{escape(" ".join(origins))}">\n    '
+        for name, origins in named.items()
+        if origins
     ]
     return "".join(lines).encode()
 

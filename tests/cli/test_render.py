@@ -293,6 +293,18 @@ def test_frames_beyond_four_digits_still_sort(tmp_path: Path) -> None:
     assert names == sorted(names)
 
 
+def test_a_link_of_a_page_gives_the_view_of_the_page(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    link = "http://host/view/x#eye=2,2,1.5&to=4,2.5,1.2&fov=50&up=0,0,1&mode=walk"
+    (camera,) = json.loads(done(capsys, ply, "-o", tmp_path / "a.png", *TINY, "--view", link, "--json"))["cameras"]
+    across = 2 * np.degrees(np.arctan(np.tan(np.radians(25)) * 24 / 18))
+    same = ["--eye", "2", "2", "1.5", "--target", "4", "2.5", "1.2", "--up", "+z", "--fov", f"{across:.12f}"]
+    done(capsys, ply, "-o", tmp_path / "b.png", *TINY, *same)
+    assert camera["eye"] == pytest.approx([2, 2, 1.5])
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert "two places" in refused(capsys, ply, "-o", tmp_path / "c.png", "--view", "#eye=1,2")
+    assert "--view" in refused(capsys, ply, "-o", tmp_path / "c.png", "--view", link, "--fov", "50")
+
+
 def test_defaults_are_those_the_help_states() -> None:
     assert parse(["render", "x", "-o", "d"]) == Render("x", "d")
     command = parse(["render", "x", "--index", "3", "5", "--up", "-y", "--eye", "-1", "-.5", "2", "-o", "y"])

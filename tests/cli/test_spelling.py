@@ -32,6 +32,11 @@ NOT_PATHS = {
     "classes",
     "origins",
     "proxies",
+    "title",
+    "background",
+    "accent",
+    "embedders",
+    "view",
 }
 
 

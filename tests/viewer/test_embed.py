@@ -125,7 +125,9 @@ def test_an_embedder_that_the_site_names_reads_pictures_and_picks(browser: Any, 
     with page_in(browser, f"{other}/index.html", **SMALL) as (page, _):
         page.evaluate("args => show(args)", {"src": f"{site}/read/#{VIEW}"})
         wait(page, "names().includes('ready') && heard.some(([, x]) => x?.state === 'complete')")
-        head = page.evaluate("scene.screenshot().then((blob) => blob.arrayBuffer()).then((all) => [...new Uint8Array(all, 0, 4)])")
+        head = page.evaluate(
+            "scene.screenshot().then((blob) => blob.arrayBuffer()).then((all) => [...new Uint8Array(all, 0, 4)])"
+        )
         assert bytes(head) == b"\x89PNG"
         found = page.evaluate("scene.pick(200, 120)")
         assert found is None or len(found["position"]) == 3
@@ -154,7 +156,9 @@ def test_the_element_works_under_a_strict_policy_of_its_host(browser: Any, pages
 
 ASK = """([name, ...args]) => new Promise((done) => {
     const id = window.next = (window.next ?? 0) + 1;
-    addEventListener("message", ({data}) => data.gsvis === "answer" && data.id === id && done(data.error ?? data.value));
+    addEventListener("message", ({data}) => {
+        if (data.gsvis === "answer" && data.id === id) done(data.error ?? data.value);
+    });
     frames[0].postMessage({gsvis: "ask", id, name, args}, "*");
 })"""
 FRAME = """source => new Promise((done) => {

@@ -375,7 +375,10 @@ def test_hotspots_show_title_text_and_link_and_hide_behind_walls(visit: Open) ->
     card = page.locator(".spot-card")
     assert card.get_by_role("heading").text_content() == "Table"
     link = card.get_by_role("link")
-    assert (link.get_attribute("href"), link.get_attribute("rel")) == ("https://example.org/table", "noopener noreferrer")
+    assert (link.get_attribute("href"), link.get_attribute("rel")) == (
+        "https://example.org/table",
+        "noopener noreferrer",
+    )
     assert page.evaluate("spot.index") == 0
     page.evaluate((VIEWER / "node_modules/axe-core/axe.min.js").read_text())
     assert page.evaluate(AXE) == []
