@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from gsvis.color import grids as tables
 from gsvis.color.records import PRECISIONS, Grids
-from gsvis.package.codec import ChunkTable, build_chunks, encode_records
-from gsvis.package.layout import RecordLayout
+from gsvis.package.codec import build_chunks, encode_records
+from gsvis.package.contents import Contents
+from gsvis.package.layout import RecordLayout, TermLayout
 from gsvis.package.order import PackageOrder
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
@@ -84,48 +85,51 @@ class Harmonics:
 
 @dataclass(frozen=True, eq=False)
 class BareScene:
-    """N Gaussians as records, in the order of a package.
+    """N Gaussians of the highest level as records.
 
     Attributes:
-        ids: (N,) place of each Gaussian in the scene.
-        gaussians: The Gaussians in this order, without harmonics.
-        table: Chunks.
-        chunk_levels: (C, 2) first and last level of each chunk.
-        records: (N, 16) uint8.
-        grids: Tables of the base colors.
-        harmonics: Ends of the higher coefficients; None in degree 0.
+        contents: The records, in the order of a package.
+        harmonics: (N, H) bytes of harmonics; H is 0 in degree 0.
+        ranges: Ranges of the higher coefficients; None in degree 0.
     """
 
-    ids: I64
-    gaussians: Gaussians
-    table: ChunkTable
-    chunk_levels: U8
-    records: U8
-    grids: Grids
-    harmonics: Harmonics | None
+    contents: Contents
+    harmonics: U8
+    ranges: Harmonics | None
 
 
-def encode_scene(levels: Levels) -> BareScene:
-    """Return the records of the levels of a scene."""
-    union = levels.union
+def encode_scene(scene: Levels | Gaussians) -> BareScene:
+    """Return the records of a scene, or of its highest level.
+
+    Raises:
+        ValueError: If it is empty.
+    """
+    union = scene.level(len(scene) - 1) if isinstance(scene, Levels) else scene
+    if len(union) == 0:
+        raise ValueError("scene: expected at least one Gaussian, got none; name another scene")
+    levels = Levels.single(union)
     order = PackageOrder.from_levels(levels)
     ids = order.permutation
     some = union[ids]
     g = Gaussians(some.means, some.quats, some.scales, some.opacities, some.sh0, facts=union.facts)
     layout = RecordLayout.from_variant("rgb")
     table = build_chunks(g, layout, starts=order.chunks, lattices=order.lattices)
-    heads = ids[table.starts[:-1]]
     grids, places = _base_colors(g.sh0[:, 0])
-    degree = union.sh_degree
-    return BareScene(
-        ids,
-        g,
+    contents = Contents(
+        levels.names,
         table,
-        np.stack([levels.first[heads], levels.last[heads]], axis=1),
+        np.zeros((len(table), 2), np.uint8),
         encode_records(g, places, table, layout),
+        np.zeros(len(g), np.uint8),
+        np.zeros((0, TermLayout.from_grids(grids).nbytes), np.uint8),
         grids,
-        Harmonics.from_coefficients(union.shN, degree) if degree else None,
+        order.starts,
+        g.facts,
     )
+    if not union.sh_degree:
+        return BareScene(contents, np.zeros((len(g), 0), np.uint8), None)
+    ranges = Harmonics.from_coefficients(union.shN, union.sh_degree)
+    return BareScene(contents, ranges.encode(union.shN, ids), ranges)
 
 
 def _base_colors(sh0: F32) -> tuple[Grids, U8]:

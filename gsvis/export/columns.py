@@ -11,9 +11,12 @@ import zlib
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["column", "compress", "differences"]
+__all__ = ["GAIN_STEPS", "column", "compress", "differences", "quantize_gains"]
 
 U8 = NDArray[np.uint8]
+
+GAIN_STEPS = 4
+"""Steps of a gain for each doubling."""
 
 
 def differences(values: ArrayLike) -> NDArray[np.int64]:
@@ -32,3 +35,9 @@ def column(values: ArrayLike, width: int) -> bytes:
 def compress(*parts: bytes) -> bytes:
     """Return the concatenated parts, compressed: a zlib stream, which browsers call "deflate"."""
     return zlib.compress(b"".join(parts), 9)
+
+
+def quantize_gains(gains: NDArray[np.float64], top: int) -> U8:
+    """Return gains > 0 as bytes: 255 is 2^(top / 4), and each step below it divides by 2^(1/4), down to 1."""
+    places = np.rint(GAIN_STEPS * np.log2(np.maximum(gains, np.finfo(np.float64).tiny)))
+    return np.asarray(np.clip(places - top + 255, 1, 255), np.uint8)

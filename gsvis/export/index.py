@@ -1,7 +1,7 @@
-"""Write the index of a static scene: the places of its chunks, and the bytes of each block.
+"""Write the index of a static scene: how many Gaussians and bytes each part has, and a sphere around it.
 
-A page reads it whole before the first block, so it is coarse: a sphere around each chunk, in steps that grow with the
-distance from the middle of the scene. Spheres hold all that their chunk draws.
+A page reads it whole before the first part. Centers are in steps that grow with the distance from the middle of the
+scene; spheres hold all that their part draws.
 """
 
 from __future__ import annotations
@@ -13,14 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.export.columns import column, compress, differences
-from gsvis.package.codec import ChunkTable
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["Spheres", "index_of"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
-U8 = NDArray[np.uint8]
 
 STEPS = 64
 """Steps of a center: its distance from the middle, over the scale, is sinh(steps / 64) on each axis."""
@@ -36,13 +34,13 @@ _MOST = (1 << 15) - 1
 
 @dataclass(frozen=True, eq=False)
 class Spheres:
-    """Spheres around C chunks.
+    """Spheres around P parts.
 
     Attributes:
         middle: (3,) point where steps are finest.
         scale: Radius of byte 128.
-        places: (C, 3) steps of each center.
-        radii: (C,) 0 to 255.
+        places: (P, 3) steps of each center.
+        radii: (P,) 0 to 255.
     """
 
     middle: F64
@@ -51,10 +49,12 @@ class Spheres:
     radii: I64
 
     @classmethod
-    def from_chunks(cls, table: ChunkTable, g: Gaussians) -> Spheres:
-        """Return spheres that hold the centers of all Gaussians of a chunk and three times the largest deviation."""
-        starts = table.starts[:-1]
-        means = g.means.astype(np.float64)
+    def from_parts(cls, parts: list[I64], g: Gaussians) -> Spheres:
+        """Return spheres that hold the centers of all Gaussians of a part and three times the largest deviation."""
+        starts = np.cumsum([0] + [len(part) for part in parts[:-1]])
+        ids = np.concatenate(parts)
+        means = g.means[ids].astype(np.float64)
+        counts = np.diff(np.append(starts, len(ids)))
         lows = np.minimum.reduceat(means, starts)
         highs = np.maximum.reduceat(means, starts)
         centers = (lows + highs) / 2
@@ -65,8 +65,8 @@ class Spheres:
         scale = float(np.float32(max(np.median(halves), least)))
         places = np.clip(np.rint(STEPS * np.arcsinh((centers - middle) / scale)), -_MOST, _MOST).astype(np.int64)
         decoded = middle + scale * np.sinh(places / STEPS)
-        away = np.linalg.norm(means - np.repeat(decoded, table.counts, axis=0), axis=1)
-        reach = np.maximum.reduceat(away, starts) + REACH * np.maximum.reduceat(g.scales.max(axis=1), starts)
+        away = np.linalg.norm(means - np.repeat(decoded, counts, axis=0), axis=1)
+        reach = np.maximum.reduceat(away, starts) + REACH * np.maximum.reduceat(g.scales[ids].max(axis=1), starts)
         radii = np.ceil(OCTAVE * np.log2(np.maximum(reach, 1e-300) / scale) + 1e-6) + 128
         return cls(middle, scale, places, np.clip(radii, 0, 255).astype(np.int64))
 
@@ -75,20 +75,19 @@ class Spheres:
         return {"middle": self.middle.tolist(), "scale": self.scale}
 
 
-def index_of(spheres: Spheres, table: ChunkTable, levels: U8, units: I64) -> bytes:
+def index_of(spheres: Spheres, counts: I64, sizes: I64, term_sizes: I64) -> bytes:
     """Return the content of `index`.
 
     Args:
-        spheres: The spheres of the C chunks.
-        table: The chunks.
-        levels: (C, 2) first and last level of each.
-        units: (B,) size of each block in `records`.
+        spheres: The spheres of the P parts.
+        counts: (P,) Gaussians of each.
+        sizes: (P,) bytes of the file of each.
+        term_sizes: (P,) bytes of the file with its terms, 0 if it has none.
     """
     return compress(
         *(column(differences(spheres.places[:, axis]), 3) for axis in range(3)),
         column(spheres.radii, 1),
-        column(table.counts.astype(np.int64) - 1, 1),
-        column(levels[:, 0], 1),
-        column(levels[:, 1], 1),
-        column(units, 2),
+        column(counts, 4),
+        column(sizes, 4),
+        column(term_sizes, 4),
     )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gsvis.abr.index import extents
 from gsvis.errors import SceneError
-from gsvis.export.blocks import GAIN_STEPS, quantize_gains
+from gsvis.export.columns import GAIN_STEPS, quantize_gains
 from gsvis.export.leaves import Leaves
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore

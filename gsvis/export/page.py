@@ -224,7 +224,7 @@ def write_html(
             for name in _WORKERS:
                 out.write(f'<script type="text/gsvis-worker" data-name="{name}">'.encode())
                 out.write(b64encode(files[name]) + b"</script>\n")
-            for name in [SCENE, *(file.name for file in found.files.values())]:
+            for name in [SCENE, *(name for file in found.files.values() for name in file.names)]:
                 out.write(f'<script type="text/gsvis" data-name="{name}">'.encode())
                 with open_regular(found.path / name) as file:
                     while piece := file.read(_PIECE):

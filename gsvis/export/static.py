@@ -1,4 +1,4 @@
-"""Write the static form of a scene: files that a page reads by byte ranges, from any file server.
+"""Write the static form of a scene: small files that a page reads whole, from any file server.
 
 docs/static.md describes the files to the byte. Names of data files contain the hash of their content, so the files
 never change and may be cached forever. `scene.json` lists them and is written last, so a reader sees either the old
@@ -12,7 +12,7 @@ import hashlib
 import json
 import re
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -21,15 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.color.records import Grids
 from gsvis.errors import FormatError
-from gsvis.export.bare import BareScene, encode_scene
-from gsvis.export.blocks import BLOCK, Blocks
-from gsvis.export.cells import CellRows, gains_of_package, replaced_rows, rows_of_package, rows_of_scene
-from gsvis.export.coded import code_records, code_terms, in_order, pack_records
-from gsvis.export.columns import column, compress
+from gsvis.export.bare import encode_scene
+from gsvis.export.columns import compress
+from gsvis.export.first import FirstViews
 from gsvis.export.index import Spheres, index_of
-from gsvis.export.layers import LAYERS, items_of
+from gsvis.export.lights import BINS, Lights, areas_of
+from gsvis.export.parts import divide_in_space
+from gsvis.export.pieces import PieceCoder, place
+from gsvis.export.placing import Placing
+from gsvis.export.rows import CellRows, TermWorth, rows_of_package, rows_of_scene
 from gsvis.export.start import Start, start_poses
 from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.fields import parse_json
@@ -38,7 +39,7 @@ from gsvis.package.layout import RECORD_BYTES, TermLayout
 from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.floor import floor_of_cells
+from gsvis.pvs.floor import floor_of_cells, stand_on
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.stream.coding import Coding
@@ -55,29 +56,35 @@ __all__ = [
     "write_static",
 ]
 
-U8 = NDArray[np.uint8]
+I64 = NDArray[np.int64]
 
 FORMAT = "gsvis-static"
-VERSION = 3
+VERSION = 4
 SCENE = "scene.json"
-KINDS = ("index", "grid", "cells", "records", "blocks", "terms", "harmonics", "facts")
-"""Files of a scene besides `scene.json`, in the order in which a page needs them."""
+FILES = ("index", "grid", "facts")
+"""Files of a scene besides `scene.json`."""
+FAMILIES = ("row", "part", "terms", "first")
+"""Kinds of files that are numbered."""
 
-_OURS = re.compile(rf"(?:{'|'.join(KINDS)}|replaced)-[0-9a-f]{{16}}\.bin")  # version 2 had one more file
+_BEFORE = ("cells", "records", "blocks", "harmonics", "replaced")  # files of versions 2 and 3
+_OURS = re.compile(rf"(?:{'|'.join((*FILES, *FAMILIES, *_BEFORE))})-[0-9a-f]{{16}}(?:-\d+)?\.bin")
+_FIRST = 1.0  # most bytes of the files of first views, over those of the parts
 _MOST_JSON = 16 << 20
 
 
 @dataclass(frozen=True)
 class StaticFile:
-    """A data file.
+    """A data file, or several of one kind.
 
     Attributes:
-        name: Its name, with the first digits of the hash.
-        nbytes: Its size.
-        sha256: Hash of its content, 64 hexadecimal digits.
+        stem: What their names begin with: the kind, and the first digits of the hash.
+        names: Their names.
+        nbytes: Their size.
+        sha256: Hash of their content, 64 hexadecimal digits.
     """
 
-    name: str
+    stem: str
+    names: tuple[str, ...]
     nbytes: int
     sha256: str
 
@@ -114,10 +121,10 @@ class StaticScene:
 
     Attributes:
         path: The folder.
-        files: The data files by what they hold, a part of `KINDS`.
+        files: The data files by what they hold: some of `FILES` and of `FAMILIES`.
         gaussians: N, the number of Gaussians.
         terms: T, the number of terms.
-        blocks: Number of blocks.
+        parts: Number of parts.
         cells: Number of cells, 1 without visible sets.
         sh_degree: Degree of the harmonics, 0 for a package.
     """
@@ -126,7 +133,7 @@ class StaticScene:
     files: dict[str, StaticFile] = field(repr=False)
     gaussians: int
     terms: int
-    blocks: int
+    parts: int
     cells: int
     sh_degree: int
 
@@ -159,23 +166,34 @@ def write_static(
     target = _check.path("folder", folder)
     said = options or StaticOptions()
     check_target(target)
-    parts = _package_parts(scene, said, progress) if isinstance(scene, Package) else _bare_parts(scene, progress)
-    if parts.blocks.starts[-1] == 0:
-        raise ValueError("scene: expected at least one Gaussian, got none; name another scene")
+    if isinstance(scene, Package):
+        content = _package_content(scene, said, progress)
+    else:
+        content = _bare_content(scene, said, progress)
     target.mkdir(parents=True, exist_ok=True)
     remove_all_partials(target)
+    counts = np.array([len(part) for part in content.parts])
+    of_parts = np.array([len(data) for data in content.families["part"]])
+    of_terms = np.array([len(data) for data in content.families.get("terms", [b""] * len(counts))])
+    contents = {
+        "index": index_of(content.spheres, counts, of_parts, of_terms),
+        "grid": content.cells.index(),
+        **content.files,
+    }
+    families = {"row": list(content.cells.rows), **content.families}
     files = {}
-    contents = parts.contents
-    progress("export", 0, len(contents))
-    for k, (kind, data) in enumerate(contents.items()):
-        files[kind] = _keep(target, kind, data)
-        progress("export", k + 1, len(contents))
-    document = _document(parts, files, said)
+    progress("export", 0, len(contents) + len(families))
+    for kind, data in contents.items():
+        files[kind] = _keep(target, kind, [data], False)
+    for kind, some in families.items():
+        files[kind] = _keep(target, kind, some, True)
+        progress("export", len(files), len(contents) + len(families))
+    document = _document(content, files, said)
     with atomic_path(target / SCENE) as partial:
         partial.write_bytes(json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False).encode())
-    degree = 0 if parts.harmonics is None else parts.harmonics["degree"]
+    degree = 0 if content.info.harmonics is None else content.info.harmonics["degree"]
     found = StaticScene(
-        target, files, document["gaussians"], document["terms"], len(parts.blocks), document["cells"]["count"], degree
+        target, files, document["gaussians"], document["terms"], len(counts), document["cells"]["count"], degree
     )
     remove_other_files(found)
     return found
@@ -205,187 +223,180 @@ def is_static(folder: Path) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class _Parts:
-    """The content of a static scene before it is written."""
+class _Content:
+    """The content of a static scene before it is written.
 
-    blocks: Blocks
+    Attributes:
+        coder: Its records, with the ids of the static form.
+        parts: Ids of the Gaussians of each part.
+        cells: Rows of cells.
+        files: Content of each file that is alone.
+        families: Contents of files of one kind, which are numbered.
+        spheres: Spheres around the parts.
+        info: Facts for `scene.json`.
+    """
+
+    coder: PieceCoder
+    parts: list[I64]
     cells: CellRows
-    contents: dict[str, Any]
-    grids: Grids
-    levels: tuple[tuple[str, int], ...]
-    chunks: int
-    terms: int
-    harmonics: dict[str, Any] | None
+    files: dict[str, bytes]
+    families: dict[str, list[bytes]]
     spheres: Spheres
-    coding: Coding | None
+    info: _Info
+
+
+@dataclass(frozen=True)
+class _Info:
+    """Facts about a scene, and the ranges of its harmonics."""
+
     bounds: NDArray[np.float64]
+    harmonics: dict[str, Any] | None = None
     up: tuple[float, ...] = (0.0, 0.0, 1.0)
     meters_per_unit: float = 0.0
     poses: tuple[Start, ...] = ()
-    antialiased: bool = False
+    first: tuple[Start, ...] = ()
 
 
-def _package_parts(package: Package, options: StaticOptions, progress: Progress) -> _Parts:
-    """Return the content of the static form of a package."""
+def _package_content(package: Package, options: StaticOptions, progress: Progress) -> _Content:
+    """Return the content of the static form of a package: its highest level."""
     contents = package.contents
-    manifest = package.manifest
-    table = contents.table
+    info = package.manifest.info
     g = contents.gaussians()
-    blocks = Blocks.from_chunks(table, contents.chunk_levels, gains_of_package(package, g))
-    items = items_of(contents, blocks)
-    cells = rows_of_package(package, g, blocks, items, progress)
-    placed = in_order(contents, blocks.ids)
-    spheres = Spheres.from_chunks(table, g)
-    coding = Coding.from_contents(placed)
-    replaced = replaced_rows(Levels(g, contents.first, contents.last, contents.names), blocks)
-    records = code_records(placed, blocks, coding, replaced)
-    data: dict[str, Any] = {
-        "index": index_of(spheres, table, contents.chunk_levels, records.sizes),
-        "grid": cells.index(),
-        "cells": b"".join(cells.rows),
-        "records": records.data,
-    }
-    if manifest.terms:
-        terms = code_terms(contents, blocks, coding, items)
-        data["blocks"] = compress(column(terms.sizes, 2))
-        data["terms"] = terms.data
-    if manifest.visibility is not None:
-        meters = options.meters_per_unit
-        meters = manifest.info.meters_per_unit if meters is None else meters
-        data["facts"] = _facts(package.visibility.grid, meters)
-    levels = tuple(zip(manifest.names, manifest.counts, strict=True))
-    return _Parts(
-        blocks,
-        cells,
-        data,
-        manifest.grids,
-        levels,
-        len(table),
-        manifest.terms,
-        None,
-        spheres,
-        coding,
-        g.bounds(0.9),
-        manifest.info.up,
-        manifest.info.meters_per_unit,
-        tuple(Start.from_dict(view) for view in manifest.views),
-        manifest.info.facts.antialiased,
-    )
+    ids = np.flatnonzero(contents.last == len(contents.names) - 1)
+    lights = None if package.manifest.visibility is None else Lights(package, g)
+    progress("order", 0, 1)
+    gains = areas_of(g) * g.opacities if lights is None else lights.brightest()
+    parts = [ids[part] for part in divide_in_space(g.means[ids].astype(np.float64), gains[ids])]
+    placing = Placing.from_parts(parts, contents.chunks, len(g))
+    placed = place(contents, placing.order)
+    coder = PieceCoder(placed, Coding.from_contents(placed), np.zeros((len(placed), 0), np.uint8))
+    progress("order", 1, 1)
+    views = tuple(Start.from_dict(view) for view in package.manifest.views)
+    grid = None if lights is None else lights.grid
+    known = _Info(g.bounds(0.9), None, info.up, info.meters_per_unit, options.poses or views)
+    known = replace(known, poses=known.poses or start_poses(known.bounds, grid, options.up or info.up))
+    pieces = {"part": [coder.encode(placing.of_part(k)) for k in range(len(parts))]}
+    if len(placed.term_records):
+        pieces["terms"] = [coder.encode_terms(placing.of_part(k)) for k in range(len(parts))]
+    files = {}
+    if lights is None:
+        cells = rows_of_scene(gains[placing.order], placing.part_of[placing.order])
+    else:
+        worth = None if package.epsilon is None else TermWorth(package, g)
+        cells = rows_of_package(lights, worth, placing.part_of, progress)
+        meters = info.meters_per_unit if options.meters_per_unit is None else options.meters_per_unit
+        floor = floor_of_cells(lights.grid, meters)
+        files["facts"] = _facts(lights.grid, floor)
+        most = int(_FIRST * sum(map(len, pieces["part"])) / max(len(known.poses), 1))
+        first = FirstViews(lights, g, worth, coder, placing)
+        known = replace(known, first=tuple(_standing(pose, floor) for pose in known.poses))
+        pieces["first"] = [first.encode(pose, most) for pose in known.first]
+    return _Content(coder, parts, cells, files, pieces, Spheres.from_parts(parts, g), known)
 
 
-def _facts(grid: CellGrid, meters_per_unit: float) -> bytes:
+def _standing(pose: Start, floor: dict[str, Any]) -> Start:
+    """Return a view as a page shows it: except around a thing, a visitor begins on foot."""
+    if pose.mode == "orbit":
+        return pose
+    x, y, z = stand_on(floor, pose.position).tolist()
+    return replace(pose, position=(x, y, z))
+
+
+def _facts(grid: CellGrid, floor: dict[str, Any]) -> bytes:
     """Return the content of `facts`: cells and floor, as a server states them."""
     cells = {"origin": grid.origin.tolist(), "size": grid.cell_size, "boxes": grid.coords.tolist()}
-    said = {"cells": cells, "floor": floor_of_cells(grid, meters_per_unit)}
+    said = {"cells": cells, "floor": floor}
     return compress(json.dumps(said, separators=(",", ":"), allow_nan=False).encode())
 
 
-def _bare_parts(scene: Levels | Gaussians, progress: Progress) -> _Parts:
-    """Return the content of the static form of a bare scene."""
-    if len(scene.union if isinstance(scene, Levels) else scene) == 0:
-        raise ValueError("scene: expected at least one Gaussian, got none; name another scene")
-    levels = scene if isinstance(scene, Levels) else Levels.single(scene)
+def _bare_content(scene: Levels | Gaussians, options: StaticOptions, progress: Progress) -> _Content:
+    """Return the content of the static form of a bare scene: its highest level."""
     progress("order", 0, 1)
-    found: BareScene = encode_scene(levels)
+    found = encode_scene(scene)
+    g = found.contents.gaussians()
+    gains = areas_of(g) * g.opacities
+    parts = divide_in_space(g.means.astype(np.float64), gains)
+    placing = Placing.from_parts(parts, found.contents.chunks, len(g))
+    placed = place(found.contents, placing.order)
+    coder = PieceCoder(placed, Coding.from_contents(placed), found.harmonics[placing.order])
     progress("order", 1, 1)
-    blocks = Blocks.from_chunks(found.table, found.chunk_levels)
-    ids = found.ids[blocks.order]
-    g = found.gaussians
-    cells = rows_of_scene(g, blocks)
-    spheres = Spheres.from_chunks(found.table, g)
-    placed = Levels(g, levels.first[found.ids], levels.last[found.ids], levels.names)
-    replaced = replaced_rows(placed, blocks)
-    records = pack_records(found.table, blocks, found.records[blocks.order], replaced)
-    data: dict[str, Any] = {
-        "index": index_of(spheres, found.table, found.chunk_levels, records.sizes),
-        "grid": cells.index(),
-        "cells": b"".join(cells.rows),
-        "records": records.data,
-    }
-    harmonics = found.harmonics
-    if harmonics is not None:
-        data["harmonics"] = harmonics.encode(levels.union.shN, ids)
-    counts = tuple(zip(levels.names, levels.counts, strict=True))
-    said = None if harmonics is None else harmonics.as_dict()
-    return _Parts(
-        blocks,
-        cells,
-        data,
-        found.grids,
-        counts,
-        len(found.table),
-        0,
-        said,
-        spheres,
-        None,
-        g.bounds(0.9),
-        antialiased=g.facts.antialiased,
-    )
+    cells = rows_of_scene(gains, placing.part_of)
+    pieces = {"part": [coder.encode(placing.of_part(k)) for k in range(len(parts))]}
+    bounds = g.bounds(0.9)
+    ranges = None if found.ranges is None else found.ranges.as_dict()
+    poses = options.poses or start_poses(bounds, None, options.up or (0.0, 0.0, 1.0))
+    info = _Info(bounds, ranges, poses=poses)
+    return _Content(coder, parts, cells, {}, pieces, Spheres.from_parts(parts, g), info)
 
 
-def _keep(folder: Path, kind: str, data: Any) -> StaticFile:
-    """Write a data file atomically, unless it exists."""
-    flat = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else np.ascontiguousarray(data).view(np.uint8)
-    whole = flat.reshape(-1).data
-    digest = hashlib.sha256(whole).hexdigest()
-    file = StaticFile(f"{kind}-{digest[:16]}.bin", whole.nbytes, digest)
-    target = folder / file.name
-    with suppress(OSError, FormatError):
-        if target.stat().st_size == file.nbytes and digest_of(target) == digest:
-            return file
-    with atomic_path(target, sweep=False) as partial:
-        partial.write_bytes(whole)
-    return file
+def _keep(folder: Path, kind: str, contents: list[bytes], numbered: bool) -> StaticFile:
+    """Write the data files of a kind atomically, unless they exist; their names contain the hash of all of them."""
+    hashes = [hashlib.sha256(data) for data in contents]
+    digest = hashes[0].hexdigest() if not numbered else hashlib.sha256(b"".join(h.digest() for h in hashes)).hexdigest()
+    stem = f"{kind}-{digest[:16]}"
+    names = tuple(f"{stem}-{k}.bin" if numbered else f"{stem}.bin" for k in range(len(contents)))
+    for name, data, sha256 in zip(names, contents, hashes, strict=True):
+        target = folder / name
+        with suppress(OSError, FormatError):
+            if target.stat().st_size == len(data) and digest_of(target) == sha256.hexdigest():
+                continue
+        with atomic_path(target, sweep=False) as partial:
+            partial.write_bytes(data)
+    return StaticFile(stem, names, sum(map(len, contents)), digest)
 
 
 def remove_other_files(scene: StaticScene) -> None:
     """Remove the data files of earlier scenes from the folder of a scene."""
-    kept = {file.name for file in scene.files.values()}
+    kept = {name for file in scene.files.values() for name in file.names}
     for path in scene.path.iterdir():
         if _OURS.fullmatch(path.name) and path.name not in kept:
             with suppress(OSError):
                 path.unlink()
 
 
-def _document(parts: _Parts, files: dict[str, StaticFile], options: StaticOptions) -> dict[str, Any]:
+def _document(content: _Content, files: dict[str, StaticFile], options: StaticOptions) -> dict[str, Any]:
     """Return the content of `scene.json`."""
-    layout = TermLayout.from_grids(parts.grids)
-    grid = parts.cells.grid
-    up = parts.up if options.up is None else options.up
+    contents = content.coder.contents
+    info = content.info
+    layout = TermLayout.from_grids(contents.grids)
+    grid = content.cells.grid
     named = [files[kind].sha256 for kind in sorted(files)]
-    poses = parts.poses or start_poses(parts.bounds, grid, up) if options.poses is None else options.poses
-    spelled = json.dumps([named, asdict(parts.grids), parts.levels, parts.harmonics], sort_keys=True)
-    drawn = {"antialiased": True} if parts.antialiased else {}
+    spelled = json.dumps([named, asdict(contents.grids), info.harmonics], sort_keys=True)
+    drawn = {"antialiased": True} if contents.facts.antialiased else {}
+    firsts = content.families.get("first", [])
     return {
         "format": FORMAT,
         "version": VERSION,
         **drawn,
         "name": options.name,
-        "gaussians": int(parts.blocks.starts[-1]),
-        "terms": parts.terms,
-        "chunks": parts.chunks,
-        "places": parts.spheres.as_dict(),
-        "code": None if parts.coding is None else parts.coding.tables.to_text(),
+        "gaussians": len(contents),
+        "terms": len(contents.term_records),
+        "chunks": len(contents.table),
+        "parts": len(content.parts),
+        "bins": BINS,
+        "places": content.spheres.as_dict(),
+        "code": content.coder.coding.tables.to_text(),
         "steps": None,
-        "blocks": len(parts.blocks),
-        "block_gaussians": BLOCK,
-        "term_layers": LAYERS,
-        "levels": [{"name": name, "count": int(count)} for name, count in parts.levels],
+        "levels": [{"name": contents.names[-1], "count": len(contents)}],
         "record_bytes": RECORD_BYTES,
         "term_bits": int(layout.widths.sum()),
         "term_bytes": layout.nbytes,
-        "colors": asdict(parts.grids),
-        "harmonics": parts.harmonics,
-        "up": [float(v) for v in up],
-        "meters_per_unit": parts.meters_per_unit if options.meters_per_unit is None else options.meters_per_unit,
+        "colors": asdict(contents.grids),
+        "harmonics": info.harmonics,
+        "up": [float(v) for v in (info.up if options.up is None else options.up)],
+        "meters_per_unit": info.meters_per_unit if options.meters_per_unit is None else options.meters_per_unit,
         "identity": hashlib.sha256(spelled.encode()).hexdigest(),
         "cells": {
-            "count": len(parts.cells.rows),
+            "count": len(content.cells.rows),
             "origin": [0.0, 0.0, 0.0] if grid is None else [float(v) for v in grid.origin],
             "size": 0.0 if grid is None else grid.cell_size,
-            "gain_top": parts.cells.top,
-            "active": parts.cells.active,
+            "gain_top": content.cells.top,
+            "active": content.cells.active,
         },
-        "poses": [pose.as_dict() for pose in poses],
-        "files": {kind: {"name": f.name, "bytes": f.nbytes} for kind, f in sorted(files.items())},
+        "poses": [pose.as_dict() for pose in info.poses],
+        "first": [{"bytes": len(data), **pose.as_dict()} for data, pose in zip(firsts, info.first, strict=True)],
+        "files": {
+            kind: {"name": f.stem if kind in FAMILIES else f.names[0], "bytes": f.nbytes, "count": len(f.names)}
+            for kind, f in sorted(files.items())
+        },
     }

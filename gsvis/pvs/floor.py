@@ -9,11 +9,11 @@ import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gsvis.pvs.cells import Cells
 
-__all__ = ["floor_of_cells"]
+__all__ = ["floor_of_cells", "stand_on"]
 
 F64 = NDArray[np.float64]
 
@@ -74,6 +74,28 @@ def floor_of_cells(grid: Cells, meters_per_unit: float) -> dict[str, Any]:
         "rows": rows,
         "heights": [None if np.isnan(value) else round(value, 4) for value in heights.tolist()],
     }
+
+
+def stand_on(floor: dict[str, Any], eye: ArrayLike) -> F64:
+    """Return the nearest position (3,) at which a walker's eye can be, as pages find it; `eye` itself without a floor.
+
+    Args:
+        floor: From `floor_of_cells`.
+        eye: (3,) position.
+    """
+    at = np.asarray(eye, np.float64)
+    axes = np.array([floor["first"], floor["second"], floor["up"]])
+    side = float(floor["side"])
+    heights = np.array(floor["heights"], np.float64).reshape(floor["rows"], floor["columns"])
+    x, y, height = axes @ (at - floor["origin"]) / [side, side, 1.0]
+    columns = np.clip(x, np.arange(floor["columns"]), np.arange(floor["columns"]) + 1.0)
+    rows = np.clip(y, np.arange(floor["rows"]), np.arange(floor["rows"]) + 1.0)
+    away = (columns[None] - x) ** 2 + (rows[:, None] - y) ** 2 + ((heights - height) / side) ** 2
+    if not np.isfinite(away).any():
+        return at
+    row, column = np.unravel_index(np.nanargmin(away), away.shape)
+    place = np.array([columns[column] * side, rows[row] * side, heights[row, column]])
+    return np.asarray(floor["origin"] + place @ axes)
 
 
 def _lowest_runs(free: NDArray[np.bool_], levels: F64, step: float) -> tuple[F64, F64]:

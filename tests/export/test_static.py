@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,13 @@ from gsvis.color.storage import grids_of
 from gsvis.errors import FormatError
 from gsvis.export import StaticOptions, write_static
 from gsvis.export.bare import Harmonics
-from gsvis.export.coded import HEAD
-from gsvis.export.start import start_poses
+from gsvis.export.lights import Lights
+from gsvis.export.parts import divide_in_space
+from gsvis.export.start import Start, start_poses
 from gsvis.files.fields import parse_object
 from gsvis.package import ChunkTable, Package, RecordLayout, decode_records
 from gsvis.package.codec import unpack_bits
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
-from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import random_scene
 from gsvis.scene.sh import SH_C0
 from gsvis.stream.coding import Coding, chunks_of, table_sizes
@@ -46,8 +47,8 @@ class Columns:
             self.at += n
         return np.asarray(found)
 
-    def sums(self, width: int) -> np.ndarray:
-        folded = self.next(width)
+    def sums(self, width: int, count: int | None = None) -> np.ndarray:
+        folded = self.next(width, count)
         return np.cumsum(np.where(folded % 2, -(folded + 1) // 2, folded // 2))
 
 
@@ -56,163 +57,133 @@ class Reader:
 
     def __init__(self, folder: Path) -> None:
         self.scene = json.loads((folder / "scene.json").read_bytes())
-        self.data: dict[str, bytes] = {}
+        self.data: dict[str, list[bytes]] = {}
         for kind, file in self.scene["files"].items():
-            self.data[kind] = data = (folder / file["name"]).read_bytes()
-            assert len(data) == file["bytes"]
-            assert file["name"] == f"{kind}-{hashlib.sha256(data).hexdigest()[:16]}.bin"
-        c = self.scene["chunks"]
-        columns = Columns(self.data["index"], c)
+            alone = file["name"].endswith(".bin")
+            names = [file["name"] if alone else f"{file['name']}-{k}.bin" for k in range(file["count"])]
+            self.data[kind] = found = [(folder / name).read_bytes() for name in names]
+            assert sum(map(len, found)) == file["bytes"]
+            hashes = [hashlib.sha256(data) for data in found]
+            whole = hashes[0] if alone else hashlib.sha256(b"".join(h.digest() for h in hashes))
+            assert file["name"].removesuffix(".bin") == f"{kind}-{whole.hexdigest()[:16]}"
+        columns = Columns(self.data["index"][0], self.scene["parts"])
         places = np.stack([columns.sums(3) for _ in range(3)], axis=1)
         said = self.scene["places"]
         self.centers = np.array(said["middle"]) + said["scale"] * np.sinh(places / 64)
         self.radii = said["scale"] * 2.0 ** ((columns.next(1) - 128) / 4)
-        self.counts = columns.next(1) + 1
-        self.levels = np.stack([columns.next(1), columns.next(1)], axis=1)
-        units = columns.next(2, self.scene["blocks"])
+        self.counts = columns.next(4)
+        assert columns.next(4).tolist() == [len(data) for data in self.data["part"]]
+        assert columns.next(4).tolist() == [len(data) for data in self.data.get("terms", [b""] * len(self.counts))]
         assert columns.at == len(columns.data)
-        self.record_starts = np.concatenate([[0], np.cumsum(16 * units)])
-        assert self.record_starts[-1] == len(self.data["records"])
-        self.blocks: list[tuple[int, int, int]] = []  # chunk, first id, count
-        starts = np.concatenate([[0], np.cumsum(self.counts)])
-        pairs = [(int(first), int(last)) for first, last in self.levels]
-        low = 0
-        while low < len(pairs):
-            high = low
-            while high < len(pairs) and pairs[high] == pairs[low]:
-                high += 1
-            for stratum in range(4):
-                for chunk in range(low, high):
-                    count = min(64, int(self.counts[chunk]) - 64 * stratum)
-                    if count > 0:
-                        self.blocks.append((chunk, int(starts[chunk]) + 64 * stratum, count))
-            low = high
-        self.starts = np.concatenate([[0], np.cumsum([count for _, _, count in self.blocks])])
+        self.chunks: dict[int, tuple[Any, ...]] = {}  # rows by the first id
+        self.pieces = [self.piece(data) for data in self.data["part"]]
+
+    @cached_property
+    def coding(self) -> Coding:
+        """The code of the records."""
+        said = parse_object("scene.json", json.dumps(self.scene["colors"]).encode())
+        grids = grids_of(said, self.scene["colors"]["variant"])
+        return Coding(grids, None, Tables.from_text(self.scene["code"], table_sizes(grids)))
+
+    def piece(self, data: bytes) -> dict[str, Any]:
+        """What a piece holds; the rows of its chunks are kept."""
+        head, g, c, m, records, terms = struct.unpack_from("<6I", data)
+        assert len(data) == 24 + head + records + terms
+        columns = Columns(data[24 : 24 + head], c)
+        starts, counts = columns.sums(4), columns.next(1) + 1
+        floats = np.stack([columns.next(4) for _ in range(6)], axis=1).astype(np.uint32).view(np.float32)
+        lows, bits, strides = columns.next(2) - (1 << 15), columns.next(2), columns.next(1)
+        for k, start in enumerate(starts.tolist()):
+            row = floats[k, :3], floats[k, 3:], int(lows[k]), int(strides[k]), unpack_bits(bits[k : k + 1], 14)[0]
+            if strides[k]:
+                assert all(np.array_equal(a, b) for a, b in zip(row, self.chunks.setdefault(start, row), strict=True))
+        ends = np.cumsum(counts)
+        skips = columns.next(1, g)
+        within = np.cumsum(skips + 1) - 1
+        first = np.repeat(np.concatenate([[0], within[ends[:-1] - 1] + 1]) if c else np.zeros(0, int), counts)
+        ids = np.repeat(starts, counts) + within - first
+        owners, over = columns.sums(4, m), columns.next(1, m)
+        numbers = over.copy()
+        for k in range(1, m):
+            numbers[k] += numbers[k - 1] + 1 if owners[k] == owners[k - 1] else 0
+        degree = (self.scene["harmonics"] or {"degree": 0})["degree"]
+        width = 3 * ((degree + 1) ** 2 - 1)
+        harmonics = np.stack([columns.next(1, g) for _ in range(width)], axis=1) if width else np.zeros((g, 0))
+        assert columns.at == len(columns.data)
+        rows = [self.chunks[start] for start in starts.tolist()]
+        of = np.repeat(np.arange(c, dtype=np.int32), counts)
+        table = table_of(rows)
+        at = 24 + head
+        found = self.coding.decode_records(np.frombuffer(data[at : at + records], np.uint8), ids, of, chunks_of(table))
+        coded = self.coding.decode_terms(np.frombuffer(data[at + records :], np.uint8), owners)
+        assert found is not None
+        assert coded is not None
+        geometry = decode_records(found, table, RecordLayout.from_variant(self.scene["colors"]["variant"]), chunks=of)
+        return {
+            "ids": ids, "records": found, "means": geometry.means, "owners": owners, "numbers": numbers,
+            "terms": coded, "harmonics": harmonics.astype(np.uint8),
+        }  # fmt: skip
+
+    def by_id(self, key: str) -> np.ndarray:
+        """Records, means or harmonics of all Gaussians."""
+        found = np.concatenate([piece[key] for piece in self.pieces])
+        out = np.empty_like(found)
+        out[np.concatenate([piece["ids"] for piece in self.pieces])] = found
+        return out
 
     @property
     def ids(self) -> np.ndarray:
-        return np.concatenate([np.arange(first, first + count) for _, first, count in self.blocks])
-
-    @cached_property
-    def coding(self) -> Coding | None:
-        """The code of the records; None where they are as they are."""
-        if self.scene["code"] is None:
-            return None
-        grids = grids_of(
-            parse_object("scene.json", json.dumps(self.scene["colors"]).encode()), self.scene["colors"]["variant"]
-        )
-        return Coding(grids, None, Tables.from_text(self.scene["code"], table_sizes(grids)))
-
-    @cached_property
-    def heads(self) -> np.ndarray:
-        """(B,) heads of blocks."""
-        rows = [self.data["records"][at : at + HEAD.itemsize] for at in self.record_starts[:-1]]
-        return np.frombuffer(b"".join(rows), HEAD)
-
-    def records(self) -> np.ndarray:
-        """Records by id."""
-        out = np.empty((self.scene["gaussians"], 16), np.uint8)
-        for (chunk, first, count), head, at in zip(self.blocks, self.heads, self.record_starts, strict=False):
-            body = self.data["records"][at + HEAD.itemsize : at + HEAD.itemsize + 2 * int(head["words"])]
-            if self.coding is None:
-                out[first : first + count] = np.frombuffer(body, np.uint8).reshape(count, 16)
-                continue
-            ids, of = np.arange(count), np.full(count, chunk, np.int32)
-            found = self.coding.decode_records(np.frombuffer(body, np.uint8), ids, of, chunks_of(self.table()))
-            assert found is not None
-            out[first : first + count] = found
-        return out
-
-    def replaced(self, block: int) -> list[list[int]]:
-        """The blocks that replace each Gaussian of a block that ends below the highest level."""
-        head, last, out = self.heads[block], 0, list[list[int]]()
-        at, end = self.record_starts[block] + HEAD.itemsize + 2 * int(head["words"]), self.record_starts[block + 1]
-        row = iter(self.data["records"][at:end])
-        for _ in range(self.blocks[block][2]):
-            out.append([])
-            for _ in range(next(row)):
-                digits = [next(row)]
-                while digits[-1] > 127:
-                    digits.append(next(row))
-                folded = sum((digit & 127) << 7 * k for k, digit in enumerate(digits))
-                last += -(folded + 1) // 2 if folded % 2 else folded // 2
-                out[-1].append(last)
-        rest = bytes(row)
-        assert len(rest) < 16
-        assert not any(rest)
-        return out
-
-    def layers(self) -> list[list[list[bytes]]]:
-        """Records of terms of each layer, by id."""
-        count, layers = len(self.blocks), self.scene["term_layers"]
-        columns, at = Columns(self.data["blocks"], count * layers), 0
-        out: list[list[list[bytes]]] = [[[] for _ in range(self.scene["gaussians"])] for _ in range(layers)]
-        for item, words in enumerate(columns.next(2)):
-            _, first, members = self.blocks[item % count]
-            data, at = self.data["terms"][at : at + 2 * words], at + 2 * int(words)
-            if not words:
-                continue
-            bits = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little")
-            whole = int(np.searchsorted(np.cumsum(1 - bits), members)) + 1  # up to the zero of the last Gaussian
-            owners = np.cumsum(1 - bits[:whole])[bits[:whole] == 1]  # Gaussians that have ended before
-            head = -(-whole // 16) * 16
-            assert not bits[whole:head].any()
-            assert self.coding is not None
-            found = self.coding.decode_terms(np.frombuffer(data, np.uint8)[head // 8 :], owners)
-            assert found is not None
-            for owner, row in zip(owners.tolist(), found, strict=True):
-                out[item // count][first + owner].append(row.tobytes())
-        assert at == len(self.data["terms"])
-        return out
+        return np.concatenate([piece["ids"] for piece in self.pieces])
 
     def terms(self) -> list[list[bytes]]:
-        """Records of terms by id, sorted."""
-        layers = self.layers() if "terms" in self.data else []
-        return [sorted(record for layer in layers for record in layer[k]) for k in range(self.scene["gaussians"])]
-
-    def cells(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray | None]]:
-        """Visible blocks and gains of each cell, and by layer what terms are worth."""
-        columns = Columns(self.data["grid"], self.scene["cells"]["count"])
-        self.boxes = np.stack([columns.sums(4) for _ in range(3)], axis=1)
-        out, at, bits = [], 0, -(-len(self.blocks) // 8)
-        for size in columns.next(4):
-            data, at = zlib.decompress(self.data["cells"][at : at + size]), at + int(size)
-            seen = np.flatnonzero(np.unpackbits(np.frombuffer(data[:bits], np.uint8), bitorder="little"))
-            gains = 2.0 ** ((np.frombuffer(data[bits : bits + len(seen)], np.uint8) - 255.0 + self.top) / 4)
-            rest, worth = data[bits + len(seen) :], None
-            if self.scene["cells"]["active"]:
-                octaves = np.frombuffer(rest, np.uint8).reshape(self.scene["term_layers"], len(seen))
-                worth = np.where(octaves > 0, 2.0 ** (octaves - 128.0), 0.0)
-            else:
-                assert rest == b""
-            out.append((seen, gains, worth))
-        assert at == len(self.data["cells"])
+        """Records of terms by id, in their order."""
+        out: list[list[bytes]] = [[] for _ in range(self.scene["gaussians"])]
+        for data in self.data.get("terms", []):
+            piece = self.piece(data)
+            for owner, number, row in zip(piece["owners"], piece["numbers"], piece["terms"], strict=True):
+                assert number == len(out[owner])
+                out[owner].append(row.tobytes())
         return out
 
-    @property
-    def top(self) -> int:
-        return int(self.scene["cells"]["gain_top"])
+    def cells(self) -> list[tuple[np.ndarray, np.ndarray | None]]:
+        """Gains (P, 24) of parts in each cell, and what their terms are worth."""
+        columns = Columns(self.data["grid"][0], self.scene["cells"]["count"])
+        self.boxes = np.stack([columns.sums(4) for _ in range(3)], axis=1)
+        assert columns.next(4).tolist() == [len(row) for row in self.data["row"]]
+        out = []
+        parts = self.scene["parts"]
+        bits = -(-parts // 8)
+        for coded in self.data["row"]:
+            data = np.frombuffer(zlib.decompress(coded), np.uint8)
+            seen = np.flatnonzero(np.unpackbits(data[:bits], bitorder="little"))
+            places = data[bits : bits + 24 * len(seen)].reshape(24, len(seen)).T
+            gains = np.zeros((parts, 24))
+            gains[seen] = np.where(places > 0, 2.0 ** ((places - 255.0 + self.scene["cells"]["gain_top"]) / 4), 0.0)
+            rest, worth = data[bits + 24 * len(seen) :], None
+            if self.scene["cells"]["active"]:
+                worth = np.zeros(parts)
+                worth[seen] = np.where(rest > 0, 2.0 ** (rest - 128.0), 0.0)
+            else:
+                assert len(rest) == 0
+            out.append((gains, worth))
+        return out
 
-    def table(self) -> ChunkTable:
-        of = {chunk: k for k, (chunk, _, _) in enumerate(self.blocks)}
-        heads = self.heads[[of[chunk] for chunk in range(len(self.counts))]]
-        columns = (np.ascontiguousarray(heads[k]) for k in ("origin", "step", "low", "stride"))
-        return ChunkTable(*columns, self.counts, unpack_bits(heads["bits"], 14))
+
+def table_of(rows: list[tuple[Any, ...]]) -> ChunkTable:
+    if not rows:
+        return ChunkTable.concatenate([])
+    origins, steps, lows, strides, bits = (np.array(column) for column in zip(*rows, strict=True))
+    counts = np.full(len(rows), 256, np.uint16)
+    return ChunkTable(origins, steps, lows.astype(np.int16), strides.astype(np.uint8), counts, bits)
 
 
-def ids_in_package(package: Package) -> np.ndarray:
-    """Id in the package of each id of its static form: within a chunk by the sum of weight times cross-section."""
-    from gsvis.abr.index import extents
-    from gsvis.stream.source import class_weights
-
-    g, sets, starts = package.contents.gaussians(), package.visibility, package.contents.table.starts
-    total = np.zeros(len(g))
-    for cell in range(len(sets)):
-        ids, classes = sets.classes(cell)
-        total[ids] += class_weights(sets)[classes]
-    total *= extents(g)[1]
-    chunks = [range(int(low), int(high)) for low, high in pairwise(starts)]
-    return np.array([k for chunk in chunks for k in sorted(chunk, key=lambda k: -total[k])])
+def matched(read: Reader, package: Package) -> np.ndarray:
+    """Id in the package of each id of its static form, by records and means; all are of the highest level."""
+    contents = package.contents
+    means = contents.gaussians().means
+    found = {(row.tobytes(), mean.tobytes()): k for k, (row, mean) in enumerate(zip(contents.records, means, strict=True))}
+    pairs = zip(read.by_id("records"), read.by_id("means"), strict=True)
+    return np.array([found[row.tobytes(), mean.tobytes()] for row, mean in pairs])
 
 
 @pytest.fixture
@@ -224,29 +195,31 @@ def package(tmp_path: Path) -> Iterator[Package]:
 def test_a_package_reads_back_record_by_record(package: Package, tmp_path: Path) -> None:
     made = write_static(tmp_path / "out", package, StaticOptions(name="two rooms"))
     read, contents = Reader(tmp_path / "out"), package.contents
-    assert sorted(read.ids) == list(range(700))
-    ids = ids_in_package(package)
-    assert np.array_equal(read.records(), contents.records[ids])
+    highest = np.flatnonzero(contents.last == len(contents.names) - 1)
+    assert sorted(read.ids) == list(range(len(highest)))
+    ids = matched(read, package)
+    assert sorted(ids) == highest.tolist()
+    assert (np.diff(contents.chunks[ids]) >= 0).all()
     offsets, terms = contents.term_offsets, read.terms()
     for k, i in enumerate(ids):
-        assert terms[k] == sorted(row.tobytes() for row in contents.term_records[offsets[i] : offsets[i + 1]])
-    assert np.array_equal(read.levels, contents.chunk_levels)
+        assert terms[k] == [row.tobytes() for row in contents.term_records[offsets[i] : offsets[i + 1]]]
     assert (read.scene["name"], read.scene["up"]) == ("two rooms", [0, -1, 0])
-    assert made.nbytes == sum(len(data) for data in read.data.values())
-    assert (made.gaussians, made.terms, made.blocks) == (700, len(contents.term_records), len(read.blocks))
+    assert made.nbytes == sum(len(data) for found in read.data.values() for data in found)
+    assert (made.gaussians, made.terms, made.parts) == (len(highest), sum(map(len, terms)), len(read.counts))
 
 
-def test_no_gaussian_of_a_chunk_reaches_further_than_it_says(package: Package, tmp_path: Path) -> None:
+def test_no_gaussian_of_a_part_reaches_further_than_it_says(package: Package, tmp_path: Path) -> None:
     write_static(tmp_path / "out", package)
-    read, g, table = Reader(tmp_path / "out"), package.contents.gaussians(), package.contents.table
-    chunks, starts = package.contents.chunks, table.starts[:-1]
-    away = np.linalg.norm(g.means - read.centers[chunks], axis=1)
-    reach = np.maximum.reduceat(away, starts) + 3.0 * np.maximum.reduceat(g.scales.max(axis=1), starts)
-    assert (reach <= read.radii * (1 + 1e-9)).all()
-    assert (read.radii <= reach * 2 ** (1.01 / 4)).all()
+    read = Reader(tmp_path / "out")
+    g = package.contents.gaussians(matched(read, package))
+    for center, radius, piece in zip(read.centers, read.radii, read.pieces, strict=True):
+        away = np.linalg.norm(g.means[piece["ids"]] - center, axis=1)
+        reach = away.max() + 3.0 * g.scales[piece["ids"]].max()
+        assert reach <= radius * (1 + 1e-9)
+        assert radius <= reach * 2 ** (1.01 / 4)
 
 
-def test_a_cell_lists_the_blocks_that_it_sees_and_what_they_and_their_terms_are_worth(
+def test_a_cell_says_what_each_part_and_its_terms_are_worth_and_in_which_direction(
     package: Package, tmp_path: Path
 ) -> None:
     from gsvis.abr.index import extents
@@ -254,81 +227,77 @@ def test_a_cell_lists_the_blocks_that_it_sees_and_what_they_and_their_terms_are_
     from gsvis.stream.source import class_weights
 
     write_static(tmp_path / "out", package)
-    read, g = Reader(tmp_path / "out"), package.contents.gaussians()
-    areas, means = extents(g)[1].astype(float), g.means.astype(float)
-    sets, contents, active = package.visibility, package.contents, package.active_terms
-    owners, records = np.repeat(np.arange(700), contents.term_counts), contents.term_records
-    cells, of, layers = read.cells(), ids_in_package(package), read.layers()
-    assert len(cells) == len(sets)
-    for cell, (seen, gains, worth) in enumerate(cells):
+    read, g, sets = Reader(tmp_path / "out"), package.contents.gaussians(), package.visibility
+    of, contents, active = matched(read, package), package.contents, package.active_terms
+    areas, owners = extents(g)[1].astype(float), np.repeat(np.arange(len(g)), contents.term_counts)
+    side = sets.grid.cell_size
+    for cell, (gains, worth) in enumerate(read.cells()):
         ids, classes = sets.classes(cell)
-        middle, side = sets.grid.centers[cell], sets.grid.cell_size
-        away = np.maximum(((means - middle) ** 2).sum(axis=1), (side / 2) ** 2)
-        light = np.zeros(700)
-        light[ids] = class_weights(sets)[classes] * np.minimum(areas / away, 4 * np.pi)[ids]
-        changes = contributions(contents.colors().dequantize(), g.means, middle)
-        values: dict[tuple[int, bytes], float] = {}  # terms that are active here
-        for t in active.active_ids(cell).tolist():
-            values[int(owners[t]), records[t].tobytes()] = max(changes[t], active.epsilon) ** 2 * light[owners[t]]
-        wanted = []
-        for block, (_, first, count) in enumerate(read.blocks):
-            members = of[first : first + count]
-            if np.isin(members, ids).any():
-                wanted.append(block)
-                place = len(wanted) - 1
-                assert np.isclose(np.log2(gains[place]), np.log2(light[members].sum()), atol=0.13)
-                assert worth is not None
-                for layer, found in zip(layers, worth[:, place], strict=True):
-                    has = [(int(of[k]), record) for k in range(first, first + count) for record in layer[k]]
-                    total = sum(values.get(each, 0.0) for each in has)
-                    assert (found == 0.0) == (total == 0.0)
-                    assert total == 0.0 or abs(np.log2(found / total)) < 0.51
-        assert wanted == seen.tolist()
+        nearest = np.linalg.norm(np.maximum(np.abs(g.means - sets.grid.centers[cell]) - side / 2, 0), axis=1)
+        farthest = np.linalg.norm(np.abs(g.means - sets.grid.centers[cell]) + side / 2, axis=1)
+        weights = np.zeros(len(g))
+        weights[ids] = class_weights(sets)[classes]
+        most = weights * np.minimum(areas / np.maximum(nearest, side / 2) ** 2, 4 * np.pi)
+        least = weights * np.minimum(areas / np.maximum(farthest, side / 2) ** 2, 4 * np.pi)
+        changes = contributions(contents.colors().dequantize(), g.means, sets.grid.centers[cell])
+        squares = np.zeros(len(owners))
+        some = active.active_ids(cell)
+        squares[some] = np.maximum(changes[some], active.epsilon) ** 2
+        for k, piece in enumerate(read.pieces):
+            members = of[piece["ids"]]
+            total = gains[k].sum()
+            assert least[members].sum() * 0.9 <= total <= most[members].sum() * 1.1
+            mine = np.isin(owners, members)
+            assert worth is not None
+            assert squares[mine] @ least[owners[mine]] * 0.7 <= worth[k] <= squares[mine] @ most[owners[mine]] * 1.42
 
 
-def test_what_ends_below_the_highest_level_names_the_fewest_blocks_that_replace_most_of_it(
-    package: Package, tmp_path: Path
-) -> None:
-    from gsvis.abr.index import extents, nearest_replacements
+def test_the_file_of_a_first_view_has_most_of_its_light_without_any_other_file(package: Package, tmp_path: Path) -> None:
+    eye = package.visibility.grid.centers[3]
+    start = replace(Start.looking(eye, eye + [0.3, 0.0, 1.0], (0.0, -1.0, 0.0)), mode="orbit")
+    write_static(tmp_path / "out", package, StaticOptions(poses=(start,)))
+    read = Reader(tmp_path / "out")
+    of, counts = matched(read, package), package.contents.term_counts
+    (data,) = read.data["first"]
+    assert read.scene["first"] == [{"bytes": len(data), **start.as_dict()}]
+    (size,) = struct.unpack_from("<I", data)
+    left = np.frombuffer(zlib.decompress(data[4 : 4 + size]), np.uint8) / 255
+    read.chunks.clear()
+    ids: list[int] = []
+    terms: list[tuple[int, int]] = []
+    at = 4 + size
+    while at < len(data):
+        head, _, _, _, records, coded = struct.unpack_from("<6I", data, at)
+        piece = read.piece(data[at : at + 24 + head + records + coded])
+        ids += piece["ids"].tolist()
+        assert set(piece["owners"].tolist()) <= set(ids)
+        terms += zip(piece["owners"].tolist(), piece["numbers"].tolist(), strict=True)
+        at += 24 + head + records + coded
+    assert len(set(ids)) == len(ids) > 0
+    assert len(set(terms)) == len(terms) > 0
+    assert all(number < counts[of[owner]] for owner, number in terms)
+    lights = Lights(package, package.contents.gaussians())
+    seen, light, _ = lights.of_eye(eye)
+    here = np.isin(seen, of[ids])
+    for share, piece in zip(left, read.pieces, strict=True):
+        mine = np.isin(seen, of[piece["ids"]])
+        wanted = light[mine & ~here].sum() / light[mine].sum() if mine.any() else 1.0
+        assert abs(share - wanted) < 0.003
 
-    write_static(tmp_path / "out", package)
-    read, contents = Reader(tmp_path / "out"), package.contents
-    areas = extents(contents.gaussians())[1].astype(float)
-    offsets, ids = nearest_replacements(Levels(contents.gaussians(), contents.first, contents.last, contents.names))
-    block_of, of = np.empty(700, int), ids_in_package(package)
-    block_of[of[read.ids]] = np.repeat(np.arange(len(read.blocks)), np.diff(read.starts))
-    for block, (chunk, first, _) in enumerate(read.blocks):
-        if read.levels[chunk, 1] == 2:
-            continue
-        for j, found in enumerate(read.replaced(block)):
-            one = of[first + j]
-            replacing = ids[offsets[one] : offsets[one + 1]]
-            held = {b: areas[replacing[block_of[replacing] == b]].sum() for b in set(block_of[replacing].tolist())}
-            named = sorted((held[b] for b in found), reverse=True)
-            assert found == sorted(set(found) & set(held))
-            assert named == sorted(held.values(), reverse=True)[: len(named)]
-            share = 0.4 * sum(held.values())
-            assert sum(named[:-1]) < share * (1 + 1e-6)
-            assert sum(named) >= share * (1 - 1e-6)
 
-
-def test_layers_hold_the_first_terms_and_the_others_by_the_nearest_of_four_directions(
-    package: Package, tmp_path: Path
-) -> None:
-    from gsvis.color.srbf import unit_vectors
-
-    write_static(tmp_path / "out", package)
-    read, contents, of = Reader(tmp_path / "out"), package.contents, ids_in_package(package)
-    centers, offsets = unit_vectors(contents.colors().dequantize().centers), contents.term_offsets
-    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
-    layers = read.layers()
-    assert len(layers) == 5
-    for k, g in enumerate(of.tolist()):
-        wanted: list[list[bytes]] = [[] for _ in layers]
-        for place, t in enumerate(range(offsets[g], offsets[g + 1])):
-            facing = int(np.argmax(corners @ centers[t]))
-            wanted[0 if place < 2 else 1 + facing].append(contents.term_records[t].tobytes())
-        assert [layer[k] for layer in layers] == wanted
+def test_parts_are_boxes_in_space_with_the_brightest_gaussians_first() -> None:
+    rng = np.random.default_rng(2)
+    means, gains = rng.uniform(0, 1, (4000, 3)) * [8, 2, 1], rng.uniform(size=4000)
+    parts = divide_in_space(means, gains, 125)
+    assert sorted(np.concatenate(parts).tolist()) == list(range(4000))
+    assert {len(part) for part in parts} == {125}
+    assert all((np.diff(part) > 0).all() for part in parts)
+    for bright, dim in zip(parts[::2], parts[1::2], strict=True):
+        assert gains[bright].min() >= gains[dim].max()
+        box = np.ptp(means[np.concatenate([bright, dim])], axis=0)
+        assert box.max() <= 2.2
+    assert divide_in_space(means[:0], gains[:0]) == []
+    assert [part.tolist() for part in divide_in_space(means[:1], gains[:1])] == [[0]]
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -338,29 +307,26 @@ def test_a_bare_scene_reads_back_as_what_it_was(degree: int, tmp_path: Path) -> 
     read = Reader(tmp_path)
     assert (made.cells, made.sh_degree, len(read.cells())) == (1, degree, 1)
     assert [level["count"] for level in read.scene["levels"]] == [900]
-    assert read.cells()[0][0].tolist() == list(range(len(read.blocks)))
-    found = decode_records(read.records(), read.table(), RecordLayout.from_variant("rgb"))
-    apart = np.linalg.norm(found.means[:, None] - g.means[None], axis=2)
+    assert (read.cells()[0][0][:, 0] > 0).all()
+    records = read.by_id("records")
+    apart = np.linalg.norm(read.by_id("means")[:, None] - g.means[None], axis=2)
     pairs = apart.argmin(axis=1)
     assert sorted(pairs.tolist()) == list(range(900))
-    assert np.allclose(found.opacities, g.opacities[pairs], atol=0.5 / 255 + 1e-6)
-    assert np.allclose(np.sort(found.scales, axis=1), np.sort(g.scales[pairs], axis=1), rtol=0.04)
+    assert np.allclose(records[:, 0] / 255, g.opacities[pairs], atol=0.5 / 255 + 1e-6)
     from gsvis.color.records import PRECISIONS, Grids
 
     said = read.scene["colors"]
     red, green, blue = (tuple(pair) for pair in said["base"])
     base = red, green, blue
     grids = Grids("rgb", PRECISIONS["wire"], base, (1.0, 1.0), (1.0, 1.0), 0.0)
-    rgb = np.stack([grids.base_table(k)[read.records()[:, 1 + k]] for k in range(3)], axis=1)
+    rgb = np.stack([grids.base_table(k)[records[:, 1 + k]] for k in range(3)], axis=1)
     span = max(high - low for low, high in base)
     assert np.abs(rgb - (0.5 + SH_C0 * g.sh0[pairs, 0])).max() < 0.02 * span
     if degree == 0:
-        assert "harmonics" not in read.data
         assert read.scene["harmonics"] is None
         return
     count = (degree + 1) ** 2 - 1
-    by_id = np.empty((900, 3 * count), np.uint8)
-    by_id[read.ids] = np.frombuffer(read.data["harmonics"], np.uint8).reshape(900, 3 * count)
+    by_id = read.by_id("harmonics")
     low, high = (np.array(read.scene["harmonics"][key]) for key in ("low", "high"))
     values = low[:, None] + by_id.reshape(900, count, 3) / 255 * (high - low)[:, None]
     exact = np.clip(g.shN[pairs], low[:, None], high[:, None])
@@ -379,19 +345,13 @@ def test_zero_harmonics_stay_zero_and_ends_hold_all_but_a_few() -> None:
     assert np.abs(back[1:, 2] - np.clip(values[1:, 2], made.low[2], made.high[2])).max() < made.high[2] / 250
 
 
-def test_levels_without_a_package_keep_their_levels(tmp_path: Path) -> None:
+def test_of_levels_the_highest_one_is_written(tmp_path: Path) -> None:
     levels = levels_of(500)
     write_static(tmp_path, levels)
     read = Reader(tmp_path)
-    assert [(each["name"], each["count"]) for each in read.scene["levels"]] == list(
-        zip(levels.names, levels.counts, strict=True)
-    )
-    ending = [b for b, (chunk, _, _) in enumerate(read.blocks) if read.levels[chunk, 1] < len(levels) - 1]
-    assert ending
-    for block in ending:
-        for found in read.replaced(block):
-            assert found
-            assert all(read.levels[read.blocks[b][0], 0] > read.levels[read.blocks[block][0], 1] for b in found)
+    top = levels.level(len(levels) - 1)
+    assert [(each["name"], each["count"]) for each in read.scene["levels"]] == [(levels.names[-1], len(top))]
+    assert np.allclose(np.sort(read.by_id("means"), axis=0), np.sort(top.means, axis=0), atol=1e-2)
 
 
 def test_the_same_scene_gives_the_same_files_and_a_new_one_replaces_the_old(tmp_path: Path) -> None:
@@ -405,13 +365,13 @@ def test_the_same_scene_gives_the_same_files_and_a_new_one_replaces_the_old(tmp_
     write_static(tmp_path / "a", g, StaticOptions(name="another"))
     after = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "a").iterdir() if p.suffix == ".bin"}
     assert before == after  # what is whole is not written again
-    damaged = next(p for p in (tmp_path / "a").iterdir() if p.name.startswith("records"))
+    damaged = next(p for p in (tmp_path / "a").iterdir() if p.name.startswith("part"))
     damaged.write_bytes(bytes(damaged.stat().st_size))
     write_static(tmp_path / "a", g)
     assert damaged.read_bytes() == files[damaged.name]
     write_static(tmp_path / "a", g[:200])
     assert len(Reader(tmp_path / "a").ids) == 200
-    assert len(list((tmp_path / "a").iterdir())) == 6
+    assert len(list((tmp_path / "a").iterdir())) == 5
 
 
 def test_a_folder_of_something_else_and_an_empty_scene_are_refused(tmp_path: Path) -> None:
@@ -430,13 +390,12 @@ def test_a_folder_of_something_else_and_an_empty_scene_are_refused(tmp_path: Pat
 def test_a_package_without_sets_and_one_of_another_variant(tmp_path: Path) -> None:
     with package_of(tmp_path / "p.gsvis", 300, stores=False) as plain:
         assert write_static(tmp_path / "a", plain).cells == 1
-    assert Reader(tmp_path / "a").cells()[0][2] is None
+    assert Reader(tmp_path / "a").cells()[0][1] is None
     with package_of(tmp_path / "h.gsvis", 300, "hsl") as hsl:
         write_static(tmp_path / "b", hsl)
-        records = hsl.contents.records[ids_in_package(hsl)]
-    read = Reader(tmp_path / "b")
+        read = Reader(tmp_path / "b")
+        assert len(set(matched(read, hsl).tolist())) == len(read.ids)
     assert read.scene["colors"]["variant"] == "hsl"
-    assert np.array_equal(read.records(), records)
 
 
 def start_of(document: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:

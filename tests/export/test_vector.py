@@ -12,18 +12,21 @@ import tempfile
 import zlib
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
 from gsvis.export import StaticOptions, write_static
-from gsvis.package import Package, RecordLayout, decode_records
+from gsvis.package import Package
 from gsvis.scene.procedural import random_scene
-from tests.export.test_static import Reader, ids_in_package
+from tests.export.test_static import Reader
 from tests.stream.worlds import package_of
 
 VECTOR = Path(__file__).with_name("vector.json")
 
 
+@patch("gsvis.export.parts.PART", 40)
+@patch("gsvis.export.first._PIECE", (40, 40))
 def recorded(folder: Path) -> dict[str, Any]:
     with package_of(folder / "p.gsvis", 300, lattice=True) as package:
         write_static(folder / "package", package, StaticOptions(name="package"))
@@ -34,43 +37,37 @@ def recorded(folder: Path) -> dict[str, Any]:
 
 def spelled(folder: Path, package: Package | None) -> dict[str, Any]:
     read = Reader(folder)
-    records = read.records()
-    geometry = decode_records(records, read.table(), RecordLayout.from_variant("rgb"))
     said: dict[str, Any] = {
         "files": {path.name: base64.b64encode(path.read_bytes()).decode() for path in sorted(folder.iterdir())},
-        "records": [record.tobytes().hex() for record in records],
-        "means": geometry.means.round(6).tolist(),
-        "blocks": [[chunk, first, count] for chunk, first, count in read.blocks],
-        "cells": [
-            {"blocks": seen.tolist(), "gains": np.log2(gains).round(6).tolist()} for seen, gains, _ in read.cells()
-        ],
+        "records": [record.tobytes().hex() for record in read.by_id("records")],
+        "means": read.by_id("means").round(6).tolist(),
+        "parts": [piece["ids"].tolist() for piece in read.pieces],
+        "cells": [{"gains": gains.round(6).tolist()} for gains, _ in read.cells()],
     }
     if package is not None:
         said["terms"] = [[term.hex() for term in terms] for terms in read.terms()]
         said["centers"] = package.visibility.grid.centers.round(6).tolist()
-        said["last"] = package.contents.last[ids_in_package(package)].tolist()
     else:
-        count = read.scene["harmonics"]["degree"]
-        width = 3 * ((count + 1) ** 2 - 1)
-        by_id = np.empty((len(records), width), np.uint8)
-        by_id[read.ids] = np.frombuffer(read.data["harmonics"], np.uint8).reshape(-1, width)
-        said["harmonics"] = [row.tobytes().hex() for row in by_id]
+        said["harmonics"] = [row.tobytes().hex() for row in read.by_id("harmonics")]
     return said
 
 
 def content(file: tuple[str, str]) -> tuple[str, bytes]:
     """Kind and content of a file, unpacked: other builds of zlib pack the same content to other bytes."""
     kind, data = file[0].split("-")[0], base64.b64decode(file[1])
-    if kind in ("index", "grid", "blocks", "facts"):
-        return kind, zlib.decompress(data)
-    return (kind, b"") if kind in ("cells", "scene.json") else (kind, data)
+    if kind in ("index", "facts"):
+        return kind, b"" if kind == "index" else zlib.decompress(data)  # sizes of packed files are in the index
+    if kind in ("part", "terms"):
+        head = int.from_bytes(data[:4], "little")
+        return kind, data[4:24] + zlib.decompress(data[24 : 24 + head]) + data[24 + head :]
+    return kind, b""
 
 
 def test_the_recorded_scenes_are_what_is_written(tmp_path: Path) -> None:
     kept = json.loads(VECTOR.read_text(encoding="utf-8"))
     made = json.loads(json.dumps(recorded(tmp_path)))
     for name in ("package", "bare"):
-        assert made[name]["blocks"] == kept[name]["blocks"]
+        assert made[name]["parts"] == kept[name]["parts"]
         assert made[name]["records"] == kept[name]["records"]
         assert [content(each) for each in made[name]["files"].items()] == [
             content(each) for each in kept[name]["files"].items()

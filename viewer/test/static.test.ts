@@ -1,20 +1,20 @@
-// Static scenes over a small HTTP server: all that a cell needs arrives; servers without ranges, cuts, gaps and outages
-// are gone round.
+// Static scenes over a small HTTP server: all that a cell needs arrives; cuts, gaps and outages are gone round.
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createServer, type IncomingMessage, type ServerResponse } from "node:http";
 import type { AddressInfo } from "node:net";
 import { join } from "node:path";
-import { deflateSync, inflateSync } from "node:zlib";
 import { test, type TestContext } from "node:test";
 import { Arrivals } from "../src/core/static-arrivals.ts";
-import { Blocks } from "../src/core/static-blocks.ts";
+import { FirstView } from "../src/core/static-first.ts";
+import { Index } from "../src/core/static-index.ts";
+import { type ChunkRows, readPiece } from "../src/core/static-pieces.ts";
 import { StaticHost } from "../src/core/static-host.ts";
 import type { Report } from "../src/core/worker-source.ts";
 import { HeldParts, HttpParts } from "../src/core/static-parts.ts";
-import { HELD, frustum, rank, regimeOf, slice, widen } from "../src/core/static-plan.ts";
+import { binsInView, choose, frustum, HELD, type Holdings, NONE, worthOf } from "../src/core/static-plan.ts";
 import { Cells, readRow } from "../src/core/static-cells.ts";
-import { parseScene } from "../src/core/static-scene.ts";
+import { BINS, parseScene, type StaticScene } from "../src/core/static-scene.ts";
 import { baseOf } from "../src/core/static-source.ts";
 import { type Clock, REAL_TIME } from "../src/core/traffic.ts";
 import type { Batch, Pose, SourceState, Traffic, View } from "../src/core/types.ts";
@@ -24,11 +24,10 @@ interface Recorded {
   files: Record<string, string>;
   records: string[];
   means: number[][];
-  blocks: [number, number, number][];
-  cells: { blocks: number[]; gains: number[] }[];
-  terms?: string[][]; // sorted
+  parts: number[][]; // ids
+  cells: { gains: number[][] }[];
+  terms?: string[][];
   centers?: number[][];
-  last?: number[];
   harmonics?: string[];
 }
 
@@ -119,6 +118,12 @@ class Client {
     this.host.setPose({ position: [position[0], position[1], position[2]], rotation });
   }
 
+  /** What is missing, "" if nothing. */
+  get message(): string {
+    const last = this.states.at(-1);
+    return last?.kind === "complete" ? last.message ?? "" : "";
+  }
+
   get ids(): number[] {
     return this.batches.flatMap((batch) => [...batch.ids]);
   }
@@ -162,7 +167,7 @@ function check(scene: Recorded, batches: Batch[]): void {
   }
   assert.equal(new Set(ids).size, ids.length);
   for (const [id, found] of owned) {
-    const left = [...scene.terms![id]]; // those of layers that no eye in the cell sees do not come
+    const left = [...scene.terms![id]];
     for (const record of found) {
       assert.ok(left.includes(record));
       left.splice(left.indexOf(record), 1);
@@ -170,94 +175,82 @@ function check(scene: Recorded, batches: Batch[]): void {
   }
 }
 
-test("all that a cell needs arrives, in the order of arrival, and what its neighbors see after it", async (t) => {
-  const { url } = await serve(t, filesOf(VECTOR.package));
-  const client = new Client(t, url), scene = VECTOR.package;
-  client.look(scene.centers![0]);
-  await client.host.start();
-  await client.until(() => client.complete());
-  check(scene, client.batches);
-  const wanted = scene.cells[0].blocks.map((b) => scene.blocks[b]).filter(([, first]) => scene.last![first] === 2);
-  const held = new Set(client.ids);
-  for (const [, first, count] of wanted) {
-    for (let id = first; id < first + count; id++) {
-      assert.ok(
-        held.has(id), `Gaussian ${id} is missing`,
-      );
-    }
-  }
-  assert.ok(client.batches.some((batch) => batch.owners.length > 0));
-  assert.deepEqual(client.states.map((state) => state.kind), ["connecting", "streaming", "complete"]);
-  assert.equal(client.headers, 1);
-});
-
-/** Return the files of a scene whose cells do not see the odd blocks. */
-function blind(files: Map<string, Buffer>): Map<string, Buffer> {
-  const scene = JSON.parse(files.get("scene.json")!.toString()) as {
-    blocks: number; files: Record<string, { name: string; bytes: number }>; cells: { count: number };
-  };
-  const { blocks, cells: { count } } = scene, whole = (kind: string): Buffer => files.get(scene.files[kind].name)!;
-  const grid = inflateSync(whole("grid")), bits = Math.ceil(blocks / 8), rows: Buffer[] = [];
-  for (let cell = 0, start = 0; cell < count; cell++) {
-    const size = (k: number): number => (12 + k) * count + cell; // byte k of the size of its row
-    const end = start + [0, 1, 2, 3].reduce((sum, k) => sum + grid[size(k)] * 256 ** k, 0);
-    const row = inflateSync(whole("cells").subarray(start, end)), kept: number[] = [];
-    const seen = Array.from({ length: blocks }, (_, b) => b).filter((b) => (row[b >> 3] >> (b & 7)) & 1);
-    row.subarray(bits).forEach((value, k) => { if (seen[k % seen.length] % 2 === 0) kept.push(value); });
-    const made = deflateSync(Buffer.from([...row.subarray(0, bits)].map((byte) => byte & 0x55).concat(kept)));
-    for (let k = 0; k < 4; k++) grid[size(k)] = (made.length >> (8 * k)) & 255;
-    rows.push(made);
-    start = end;
-  }
-  const found = new Map(files);
-  for (const [kind, data] of [["grid", deflateSync(grid)], ["cells", Buffer.concat(rows)]] as const) {
-    found.set(scene.files[kind].name, data);
-    scene.files[kind].bytes = data.length;
-  }
-  return found.set("scene.json", Buffer.from(JSON.stringify(scene)));
-}
-
-test("an idle link ends with every record of the highest level, once, wherever the eye is", async (t) => {
-  const scene = VECTOR.package, { size } = (await open(scene)).blocks.scene.cells, [x, y, z] = scene.centers![0];
-  const wanted = scene.last!.flatMap((last, id) => last === 2 ? [id] : []);
-  const terms = wanted.reduce((sum, id) => sum + scene.terms![id].length, 0);
+test("all that a scene has arrives once, what the cell sees first, wherever the eye is", async (t) => {
+  const scene = VECTOR.package, { said } = await open(scene), [x, y, z] = scene.centers![0];
+  const terms = scene.terms!.reduce((sum, each) => sum + each.length, 0);
   for (const away of [0, 0.8, 50]) {
-    const { url } = await serve(t, blind(filesOf(scene))), client = new Client(t, url);
-    client.look([x + away * size, y, z]);
+    const { url, asked } = await serve(t, filesOf(scene)), client = new Client(t, url);
+    client.look([x + away * said.cells.size, y, z]);
     await client.host.start();
-    await client.until(() => {
-      const { batches, ids } = client, held = new Set(ids), gone = new Set(batches.flatMap((batch) => [...batch.gone]));
-      const owners = batches.flatMap((batch) => [...batch.owners]).filter((slot) => scene.last![ids[slot]] === 2);
-      return wanted.every((id) => held.has(id)) && owners.length === terms &&
-        ids.every((id, slot) => scene.last![id] === 2 || gone.has(slot));
-    });
+    await client.until(() => client.complete());
+    const seen = scene.parts.filter((_, p) => scene.cells[0].gains[p].some((gain) => gain > 0)).flat();
+    const early = new Set(client.ids);
+    assert.ok(seen.every((id) => early.has(id)));
+    await client.until(() => client.ids.length === scene.records.length &&
+      client.batches.reduce((sum, batch) => sum + batch.owners.length, 0) === terms);
     check(scene, client.batches);
+    assert.equal(client.headers, 1);
+    assert.ok(asked.every((each) => each.endsWith(" whole")));
+    const names = asked.map((each) => each.split(" ")[0]);
+    assert.equal(new Set(names).size, names.length, asked.join("\n"));
   }
 });
 
-test("a row is widened outside of its cell alone, the more the farther the eye is", async () => {
-  const { blocks, file, cells } = await open(VECTOR.package), { size } = blocks.scene.cells, middle = cells.middle(0)!;
-  const whole = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)), middle);
-  const some = whole.blocks.map((_, k) => k).filter((k) => k % 3 > 0), each = whole.blocks.length;
-  const row = {
-    middle, blocks: some.map((k) => whole.blocks[k]), gains: Float32Array.from(some, (k) => whole.gains[k]),
-    items: whole.items!.filter((_, k) => (k % each) % 3 > 0),
-  };
-  const at = (sides: number): number[] => middle.map((v, axis) => axis === 0 ? v + sides * size : v);
-  assert.equal(widen(blocks, row, size, at(0.49)), row);
-  const [near, far] = [0.6, 30].map((sides) => widen(blocks, row, size, at(sides)));
-  const own = new Map([...row.blocks].map((b, k) => [b, k]));
-  assert.ok(own.size < blocks.count);
-  for (const [b, gain] of far.gains.entries()) {
-    const k = own.get(b);
-    if (k === undefined) assert.ok(near.gains[b] < gain && Number.isFinite(near.gains[b]));
-    else assert.deepEqual([near.gains[b], gain], [row.gains[k], row.gains[k]]);
-    for (let layer = 0; layer < blocks.scene.layers; layer++) {
-      const item = near.items![layer * blocks.count + b];
-      if (k === undefined) assert.ok(item < near.gains[b]);
-      else assert.equal(item, row.items![layer * own.size + k]);
+test("a first view is read while it comes, by one request before any part", async (t) => {
+  const scene = VECTOR.package, { said } = await open(scene), { position, rotation } = said.first[0].pose;
+  let release: (() => void) | null = null;
+  const { url, asked } = await serve(t, filesOf(scene), (name, data, _, response) => {
+    if (!name.startsWith("first")) return false;
+    response.writeHead(200);
+    response.write(data!.subarray(0, data!.length - 1));
+    release = () => response.end(data!.subarray(data!.length - 1));
+    return true;
+  });
+  const client = new Client(t, url);
+  client.look(position, rotation);
+  void client.host.start();
+  await client.until(() => client.ids.length > 0);
+  assert.ok(!asked.some((each) => /^(part|terms)/.test(each)));
+  release!();
+  await client.until(() => client.ids.length === scene.records.length && client.complete());
+  check(scene, client.batches);
+});
+
+test("a first view that is cut or missing costs the time alone", async (t) => {
+  const scene = VECTOR.package, { said } = await open(scene), { position, rotation } = said.first[0].pose;
+  for (const cut of [true, false]) {
+    const files = filesOf(scene);
+    for (const [name, data] of files) {
+      if (!name.startsWith("first")) continue;
+      if (cut) files.set(name, data.subarray(0, data.length >> 1));
+      else files.delete(name);
     }
+    const client = new Client(t, (await serve(t, files)).url);
+    client.look(position, rotation);
+    await client.host.start();
+    await client.until(() => client.ids.length === scene.records.length && client.complete());
+    check(scene, client.batches);
+    assert.match(client.message, /^A part of the scene is missing: first-[0-9a-f]{16}-0\.bin: /);
   }
+});
+
+test("pieces of a first view are whole however its bytes come, and it says what it leaves", async () => {
+  const { said, file } = await open(VECTOR.package), data = file("first", 0);
+  for (const step of [1, 7, data.length]) {
+    const view = new FirstView(said, 0), found: Uint8Array[] = [], rows: ChunkRows = new Map();
+    for (let at = 0; at < data.length; at += step) found.push(...view.take(data.subarray(at, at + step)));
+    const ids = new Set<number>();
+    for (const piece of found) (await readPiece(piece, said.header, rows, "first")).ids.forEach((id) => ids.add(id));
+    assert.ok(ids.size > 0);
+    (await view.left()).forEach((share, p) => {
+      assert.ok(share >= 0 && share <= 1);
+      if (!VECTOR.package.parts[p].some((id) => ids.has(id))) assert.equal(share, 1);
+    });
+  }
+  const { position, rotation } = said.first[0].pose, view = new FirstView(said, 0), side = said.cells.size;
+  assert.ok(view.isFor({ position, rotation }));
+  assert.ok(!view.isFor({ position: [position[0] + side, position[1], position[2]], rotation }));
+  assert.ok(!view.isFor({ position, rotation: [rotation[1], rotation[0], rotation[3], rotation[2]] }));
 });
 
 test("bytes are reported with their rate, which falls to 0 when no more come", async (t) => {
@@ -287,21 +280,6 @@ test("a bare scene has one cell with everything, and harmonics beside its record
   assert.equal(client.ids.length, 150);
 });
 
-test("a server without ranges sends each file once", async (t) => {
-  const { url, asked } = await serve(t, filesOf(VECTOR.package), (_, data, __, response) => {
-    if (data === undefined) return false;
-    response.writeHead(200).end(data);
-    return true;
-  });
-  const client = new Client(t, url);
-  client.look(VECTOR.package.centers![0]);
-  await client.host.start();
-  await client.until(() => client.complete());
-  check(VECTOR.package, client.batches);
-  const names = asked.map((each) => each.split(" ")[0]);
-  assert.equal(new Set(names).size, names.length, asked.join("\n"));
-});
-
 test("a page that holds its files reads them without a server", async (t) => {
   const held = new Map([...filesOf(VECTOR.bare)].map(([name, data]) => [name, new Blob([new Uint8Array(data)])]));
   const client = new Client(t, "", held);
@@ -322,61 +300,37 @@ test("a missing file is named, and the rest is drawn", async (t) => {
   check(VECTOR.package, client.batches);
   const last = client.states.at(-1)!;
   assert.ok(
-    last.kind === "complete" && /terms-[0-9a-f]{16}\.bin: the server answers 404/.test(last.message ?? ""),
+    last.kind === "complete" && /terms-[0-9a-f]{16}-\d+\.bin: the server answers 404/.test(last.message ?? ""),
     JSON.stringify(last),
   );
   assert.ok(client.batches.every((batch) => batch.owners.length === 0));
 });
 
-test("a cut file gives what is there of it", async (t) => {
-  const files = filesOf(VECTOR.bare);
-  for (const [name, data] of files) if (name.startsWith("records")) files.set(name, data.subarray(0, 1200));
-  const { url } = await serve(t, files);
-  const client = new Client(t, url);
-  client.look([0, 0, -3]);
-  await client.host.start();
-  await client.until(() => client.complete());
-  check(VECTOR.bare, client.batches);
-  assert.deepEqual(client.ids.length, 64); // the first block; the second is cut
-  const last = client.states.at(-1)!;
-  assert.ok(last.kind === "complete" && /records-/.test(last.message ?? ""), JSON.stringify(last));
-});
-
-test("a block whose terms or replacements make no sense costs only itself", async (t) => {
-  for (const kind of ["terms", "records"]) {
-    const files = filesOf(VECTOR.package), { blocks } = await open(VECTOR.package),
-      name = [...files.keys()].find((each) => each.startsWith(kind))!;
-    const data = Buffer.from(files.get(name)!);
-    const ending = [...Array(blocks.count).keys()].filter((b) => blocks.last(b) < blocks.top);
-    const [lost] = ending, start = blocks.recordStart[lost], behind = start + 32 + 2 * data.readUInt16LE(start + 28);
-    if (kind === "terms") data[0] ^= 1;
-    else data.fill(255, behind, blocks.recordStart[lost + 1]);
-    files.set(name, data);
-    const { url } = await serve(t, files);
-    const client = new Client(t, url), scene = VECTOR.package;
-    client.look(scene.centers![0]);
+test("a part that is cut, too long or of another content costs only itself", async (t) => {
+  for (const change of [
+    (data: Buffer) => data.subarray(0, 100), (data: Buffer) => Buffer.concat([data, data]),
+    (data: Buffer) => Buffer.alloc(data.length, 7), (data: Buffer) => Buffer.from("<!doctype html>".padEnd(data.length)),
+  ]) {
+    const files = filesOf(VECTOR.package), name = [...files.keys()].find((each) => /^part-.*-1\.bin/.test(each))!;
+    files.set(name, change(files.get(name)!));
+    const client = new Client(t, (await serve(t, files)).url), rest = VECTOR.package.parts.filter((_, p) => p !== 1);
+    client.look(VECTOR.package.centers![0]);
     await client.host.start();
-    await client.until(() => client.complete());
-    check(scene, client.batches);
-    const held = new Set(client.ids),
-      owned = new Set(client.batches.flatMap((batch) => [...batch.owners].map((slot) => client.ids[slot])));
-    const wanted = scene.cells[0].blocks.filter((b) => blocks.last(b) === blocks.top);
-    for (const b of wanted) assert.ok(held.has(blocks.firstId[b]), `block ${b} is missing`);
-    assert.ok(owned.size > 0);
-    const last = client.states.at(-1)!;
-    assert.ok(last.kind === "complete" && last.message?.includes(`${kind}: block`), JSON.stringify(last));
+    await client.until(() => client.ids.length === rest.flat().length && client.complete() && client.message !== "");
+    check(VECTOR.package, client.batches);
+    assert.match(client.message, /^A part of the scene is missing: part[^\n]*$/);
   }
 });
 
 test("a server that errs now and then, or cuts an answer, is asked again", async (t) => {
   const counts = new Map<string, number>();
-  const { url } = await serve(t, filesOf(VECTOR.package), (name, data, request, response) => {
-    const key = `${name} ${request.headers.range ?? ""}`, count = counts.get(key) ?? 0;
-    counts.set(key, count + 1);
+  const { url } = await serve(t, filesOf(VECTOR.package), (name, data, _, response) => {
+    const count = counts.get(name) ?? 0;
+    counts.set(name, count + 1);
     if (count === 0) response.writeHead(503).end();
     else if (
       count === 1 && data !== undefined && name !== "scene.json"
-    ) response.writeHead(206).end(data.subarray(0, 3));
+    ) response.writeHead(200).end(data.subarray(0, 3));
     else return false;
     return true;
   });
@@ -390,7 +344,7 @@ test("a server that errs now and then, or cuts an answer, is asked again", async
 test("a link that is down is waited for", async (t) => {
   let refused = 0;
   const { url } = await serve(t, filesOf(VECTOR.bare), (name, _, request) => {
-    if (!name.startsWith("records") || refused++ > 5) return false;
+    if (!name.startsWith("part") || refused++ > 5) return false;
     request.socket.destroy();
     return true;
   });
@@ -404,7 +358,7 @@ test("a link that is down is waited for", async (t) => {
 
 test("a site written anew under the same address is read anew", async (t) => {
   const files = filesOf(VECTOR.package), other = filesOf(VECTOR.bare);
-  for (const name of [...files.keys()]) if (name.startsWith("records")) files.delete(name);
+  for (const name of [...files.keys()]) if (name.startsWith("part")) files.delete(name);
   let asked = 0;
   const { url } = await serve(t, files, (name, _, __, response) => {
     if (name === "scene.json" && asked++ > 0) {
@@ -417,18 +371,17 @@ test("a site written anew under the same address is read anew", async (t) => {
   const client = new Client(t, url);
   client.look([0, 0, -3]);
   await client.host.start();
-  await client.until(() => client.headers === 2 && client.complete());
-  assert.equal(client.ids.length, 150);
+  await client.until(() => client.headers === 2 && client.ids.length === 150 && client.complete());
 });
 
 test("what is no scene, or of a newer version, is said in one line", async (t) => {
   const scene = JSON.parse(filesOf(VECTOR.bare).get("scene.json")!.toString()) as Record<string, unknown>;
   const wrong: [string, RegExp][] = [
     ["<html>", /expected JSON/], ["{}", /expected a static scene/],
-    [JSON.stringify({ ...scene, version: 4 }), /version 3, got 4; export/],
-    [JSON.stringify({ ...scene, version: 2 }), /version 3, got 2; export/],
-    [JSON.stringify({ ...scene, files: { records: { name: "../secret.bin", bytes: 1 } } }), /name without a path/],
-    [JSON.stringify({ ...scene, gaussians: 151 }), /expected 3624 bytes/],
+    [JSON.stringify({ ...scene, version: 5 }), /version 4, got 5; export/],
+    [JSON.stringify({ ...scene, version: 3 }), /version 4, got 3; export/],
+    [JSON.stringify({ ...scene, files: { index: { name: "../secret.bin", bytes: 1, count: 1 } } }), /name without a path/],
+    [JSON.stringify({ ...scene, parts: 3 }), /files, part: expected 3 files/],
     [JSON.stringify({ ...scene, gaussians: -1 }), /scene.json, gaussians: expected a number from 0 to/],
     [JSON.stringify({ ...scene, chunks: 2 ** 40 }), /scene.json, chunks: expected a number from 0 to/],
     [JSON.stringify({ ...scene, levels: [] }), /levels/],
@@ -445,125 +398,99 @@ test("what is no scene, or of a newer version, is said in one line", async (t) =
   }
 });
 
-async function open(scene: Recorded): Promise<{ blocks: Blocks; file: (kind: string) => Uint8Array; cells: Cells }> {
+/** Return what scene.json says, and a file or one of a kind by its number. */
+async function open(scene: Recorded): Promise<{ said: StaticScene; file: (kind: string, number?: number) => Uint8Array }> {
   const files = filesOf(scene), said = parseScene(files.get("scene.json")!.toString());
-  const file = (kind: string): Uint8Array => new Uint8Array(files.get(said.files.get(kind)!.name)!);
-  const [blocks, cells] = [await Blocks.open(said, file("index")), await Cells.open(said, file("grid"))];
-  return { blocks, file, cells };
+  const file = (kind: string, number?: number): Uint8Array => {
+    const { name } = said.files.get(kind)!;
+    return new Uint8Array(files.get(number === undefined ? name : `${name}-${number}.bin`)!);
+  };
+  return { said, file };
 }
 
-test("blocks, cells and gains are those of the writer", async () => {
+test("parts, cells and gains are those of the writer", async () => {
   for (const scene of [VECTOR.package, VECTOR.bare]) {
-    const { blocks, file, cells } = await open(scene);
-    assert.deepEqual(scene.blocks, scene.blocks.map((_, b) => [blocks.chunk[b], blocks.firstId[b], blocks.size(b)]));
-    for (const [cell, said] of scene.cells.entries()) {
-      const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(cell)), cells.middle(cell));
-      assert.deepEqual([...row.blocks], said.blocks);
-      row.gains.forEach((gain: number, k: number) => assert.ok(Math.abs(gain - said.gains[k]) < 1e-5));
+    const { said, file } = await open(scene), index = await Index.open(said, file("index"));
+    const cells = await Cells.open(said, file("grid"));
+    assert.deepEqual([...index.sizes], scene.parts.map((ids) => ids.length));
+    for (const [p, ids] of scene.parts.entries()) {
+      assert.equal(index.bytes[p], file("part", p).length);
+      const piece = await readPiece(file("part", p), said.header, new Map(), "part");
+      assert.deepEqual([...piece.ids], ids);
+    }
+    for (const [cell, wanted] of scene.cells.entries()) {
+      const row = await readRow(said, file("row", cell), cells.middle(cell));
+      wanted.gains.flat().forEach((gain, k) => assert.ok(Math.abs(row.gains[k] - gain) <= 1e-5 * gain + 1e-6));
     }
     scene.centers?.forEach((center, cell) => assert.equal(cells.at(center), cell));
   }
 });
 
-test("a Gaussian that ends below the highest level goes when what replaces it is held, and not before", async () => {
-  const { blocks, file } = await open(VECTOR.package);
-  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(0) };
-  const arrivals = new Arrivals(blocks, held), records = file("records"), seen = new Uint8Array(blocks.count).fill(1);
-  let waiting = 0;
-  for (let b = 0; b < blocks.count; b++) {
-    if (blocks.last(b) === blocks.top) continue;
-    take(arrivals, blocks, records, b);
-    waiting += blocks.size(b);
+test("what comes again is left out of a batch", async () => {
+  const { said, file } = await open(VECTOR.package), arrivals = new Arrivals(said.header);
+  const pieces = [await readPiece(file("part", 0), said.header, arrivals.rows, "part")];
+  pieces.push(await readPiece(file("part", 1), said.header, arrivals.rows, "part"));
+  const first = arrivals.add(pieces[0]), again = arrivals.add(pieces[0]), second = arrivals.add(pieces[1]);
+  assert.deepEqual([first.ids.length, again.ids.length], [pieces[0].ids.length, 0]);
+  assert.equal(second.first, first.ids.length);
+  assert.equal(second.firstRow, first.chunks.length / 8);
+});
+
+test("the piece of a scene is refused whichever byte of its head is changed, or draws only what the scene has", async () => {
+  const { said, file } = await open(VECTOR.package), whole = file("part", 0);
+  for (let at = 0; at < 24; at++) {
+    const data = whole.slice();
+    data[at] ^= 0x55;
+    await assert.rejects(readPiece(data, said.header, new Map(), "part 0"), /part 0/);
   }
-  const early = arrivals.sweep(seen)?.gone.length ?? 0; // replaced by others that end too
-  for (let b = 0; b < blocks.count; b++) if (held.records[b] !== HELD) take(arrivals, blocks, records, b);
-  const late = arrivals.sweep(seen)?.gone.length ?? 0;
-  assert.ok(late > 0);
-  assert.equal(early + late, waiting);
-  assert.equal(arrivals.sweep(seen), null);
 });
 
-function take(arrivals: Arrivals, blocks: Blocks, records: Uint8Array, b: number): void {
-  arrivals.addRecords(
-    { terms: false, first: b, end: b + 1, place: 0 },
-    records.subarray(blocks.recordStart[b], blocks.recordStart[b + 1]), null, (error) => assert.fail(String(error)),
-  );
-}
-
-test("a cell that has all of its highest level waits neither for lower levels nor for what is out of sight", async () => {
-  const { blocks, file } = await open(VECTOR.package);
-  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(0) };
-  const arrivals = new Arrivals(blocks, held), seen = new Uint8Array(blocks.count);
-  const ending = Array.from({ length: blocks.count }, (_, b) => b).filter((b) => blocks.last(b) < blocks.top);
-  const [b] = ending;
-  take(arrivals, blocks, file("records"), b);
-  assert.equal(arrivals.sweep(seen, true), null); // of another cell: it stays
-  for (const other of ending) seen[other] = 1;
-  assert.equal(arrivals.sweep(seen), null);
-  assert.equal(arrivals.sweep(seen, true)?.gone.length, blocks.size(b));
-});
-
-test("layers of terms are asked for where their terms count in the cell, neighbors in the file together", async () => {
-  const { blocks, file, cells } = await open(VECTOR.package), { layers } = blocks.scene;
-  await blocks.setTerms(file("blocks"));
-  const held = { records: new Uint8Array(blocks.count).fill(HELD), terms: new Uint8Array(layers * blocks.count) };
-  const position = VECTOR.package.centers![0] as [number, number, number];
-  const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)), cells.middle(0));
-  const wanted = new Set<number>();
-  row.blocks.forEach((b, k) => {
-    for (let layer = 0; layer < layers; layer++) {
-      const item = layer * blocks.count + b;
-      if (row.items![layer * row.blocks.length + k] > -Infinity && blocks.bytes(item, item + 1, true) > 0) wanted.add(item);
-    }
+test("the plan takes what has most light in view for its bytes and its delay", async () => {
+  const scene = VECTOR.package, { said, file } = await open(scene), index = await Index.open(said, file("index"));
+  const cells = await Cells.open(said, file("grid")), row = await readRow(said, file("row", 0), cells.middle(0));
+  const position = scene.centers![0] as [number, number, number], pose: Pose = { position, rotation: [1, 0, 0, 0] };
+  const worth = worthOf(index, row, said.cells.size, pose, VIEW), bins = binsInView(pose, VIEW);
+  const held = (): Holdings => ({
+    parts: new Uint8Array(index.count), terms: new Uint8Array(index.count), left: new Float32Array(index.count).fill(1),
   });
-  const order = rank(blocks, row, held, { position, rotation: [1, 0, 0, 0] }, VIEW, "low");
-  assert.ok(order.terms.every((kind) => kind === 1));
-  assert.deepEqual(new Set(order.blocks), wanted);
-  assert.ok(wanted.size < row.blocks.length * layers);
-  for (const run of slice(blocks, order, 0, held, Infinity, 0).runs) {
-    for (let item = run.first; item < run.end; item++) assert.ok(wanted.has(item));
-    assert.equal(blocks.bytes(run.first, run.end, true), blocks.termStart![run.end] - blocks.termStart![run.first]);
+  for (let p = 0; p < index.count; p++) {
+    const gains = [...row.gains.subarray(BINS * p, BINS * (p + 1))];
+    const wanted = gains.reduce((sum, gain, bin) => sum + gain * (0.003 + 0.997 * bins[bin]), 0);
+    assert.ok(Math.abs(worth[p] - wanted) <= 1e-5 * wanted);
   }
+  const best = choose(index, worth, row.terms, held(), 0)!.part;
+  for (let p = 0; p < index.count; p++) {
+    assert.ok(worth[best] / index.bytes[best] >= worth[p] / index.bytes[p] * (1 - 1e-6));
+  }
+  const slow = choose(index, worth, row.terms, held(), 1e9)!.part;
+  for (let p = 0; p < index.count; p++) assert.ok(worth[slow] >= worth[p] * (1 - 1e-4));
+  const all = held();
+  all.parts.fill(HELD);
+  assert.ok(choose(index, worth, row.terms, all, 0)!.terms);
+  all.terms.fill(HELD);
+  assert.equal(choose(index, worth, row.terms, all, 0), null);
+  all.parts[2] = NONE;
+  assert.equal(choose(index, worth.fill(0), row.terms, all, 0), null);
 });
 
-test("the plan begins with what weighs most in view for its bytes, and joins neighbors", async () => {
-  const { blocks, file, cells } = await open(VECTOR.package);
-  const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)), cells.middle(0));
-  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(0) };
-  const position = VECTOR.package.centers![0] as [number, number, number];
-  const order = rank(blocks, row, held, { position, rotation: [1, 0, 0, 0] }, VIEW, "high");
-  assert.equal(new Set(order.blocks).size, order.blocks.length);
-  const all = slice(blocks, order, 0, held, Infinity, Infinity);
-  assert.equal(all.next, order.blocks.length);
-  for (const run of all.runs) assert.ok(run.end > run.first);
-  assert.deepEqual(slice(blocks, order, 0, held, Infinity, 0).runs, []); // all is asked for
-  const apart = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
-  const runs = slice(blocks, order, 0, apart, Infinity, 0).runs;
-  assert.ok(runs.length >= all.runs.length);
-  assert.equal(runs.reduce((sum, run) => sum + run.end - run.first, 0), order.blocks.length);
+test("outside of its cell an eye sees also what the cell does not, the more the farther it is", async () => {
+  const { said, file } = await open(VECTOR.package), index = await Index.open(said, file("index"));
+  const cells = await Cells.open(said, file("grid")), middle = cells.middle(0)!, { size } = said.cells;
+  const blind = { gains: new Float32Array(BINS * index.count), terms: null, middle };
+  const at = (sides: number): Float32Array => worthOf(
+    index, blind, size, { position: [middle[0] + sides * size, middle[1], middle[2]], rotation: [1, 0, 0, 0] }, VIEW,
+  );
+  assert.ok(at(0.49).every((worth) => worth === 0));
+  assert.ok([at(0.6), at(30)].every((worths) => worths.every((worth) => worth > 0 && Number.isFinite(worth))));
 });
 
-test("a first picture is not asked for, and the level above it counts as the lowest", async () => {
-  const { blocks, file, cells } = await open(VECTOR.package), { header } = blocks.scene;
-  const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)), cells.middle(0));
-  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
-  const pose: Pose = { position: VECTOR.package.centers![0] as [number, number, number], rotation: [1, 0, 0, 0] };
-  const lasts = (of: Blocks): Set<number> =>
-    new Set([...rank(of, row, held, pose, VIEW, "low").blocks].map((b) => of.last(b)));
-  const some = lasts(blocks), few = header.levels.map((level, k) => (k === 0 ? { ...level, count: 1 } : level));
-  assert.ok(some.has(0));
-  const reopen = async (index: Uint8Array): Promise<Blocks> =>
-    Blocks.open({ ...blocks.scene, header: { ...header, levels: few } }, index);
-  const index = new Uint8Array(inflateSync(file("index"))), last = 12 * header.chunks;
-  assert.deepEqual([blocks.lowest, (await reopen(file("index"))).lowest], [0, 0]); // it shares chunks
-  for (let k = 0; k < header.chunks; k++) if (blocks.levels[2 * k] === 0) index[last + k] = 0; // none any more
-  const other = await reopen(new Uint8Array(deflateSync(index)));
-  assert.equal(other.lowest, 1);
-  const others = lasts(other);
-  assert.ok(!others.has(0) && others.size > 0);
+test("bins of directions in view are those that lie ahead", () => {
+  const bins = binsInView({ position: [9, 9, 9], rotation: [1, 0, 0, 0] }, { left: 1, right: 1, up: 1, down: 1 });
+  for (let bin = 0; bin < BINS; bin++) assert.equal(bins[bin] > 0.999, bin >= 16 && bin < 20, `bin ${bin}`);
+  assert.ok(bins.subarray(20).every((share) => share === 0));
 });
 
-test("frusta and regimes are those of the server", () => {
+test("frusta are those of the server", () => {
   const planes = frustum({ position: [1, 2, 3], rotation: [1, 0, 0, 0] }, VIEW, 0);
   const distance = (x: number, y: number, z: number): number => Math.min(
     ...[0, 4, 8, 12, 16].map((k) => planes[k] * x + planes[k + 1] * y + planes[k + 2] * z + planes[k + 3]),
@@ -571,11 +498,6 @@ test("frusta and regimes are those of the server", () => {
   assert.ok(distance(1, 2, 5) > 0);
   assert.ok(distance(1, 2, 2) < 0);
   assert.ok(distance(3.5, 2, 5) < 0 && distance(2.5, 2, 5) > 0);
-  assert.equal(regimeOf(1e6, [1e6, 2e6, 3e6], null), "high");
-  assert.equal(regimeOf(0.7e6, [1e6, 2e6, 3e6], null), "medium");
-  assert.equal(regimeOf(0.1e6, [1e6, 2e6, 3e6], null), "low");
-  assert.equal(regimeOf(0.99e6, [1e6, 2e6, 3e6], "high"), "high");
-  assert.equal(regimeOf(1.01e6, [1e6, 2e6, 3e6], "medium"), "medium");
 });
 
 test("addresses of scenes", () => {

@@ -7,12 +7,12 @@ import { join } from "node:path";
 import { StaticHost } from "../src/core/static-host.ts";
 import type { Report } from "../src/core/worker-source.ts";
 import type { PartEvents, Parts } from "../src/core/static-parts.ts";
-import type { StaticFile } from "../src/core/static-scene.ts";
 import type { Pose, View } from "../src/core/types.ts";
+
+const SLICE = 8 << 10; // bytes of a file that is read while it comes
 
 /** Files behind a link that carries one answer after the other; time is simulated. */
 class LinkedParts implements Parts {
-  readonly ranges = true;
   now = 0;
   requests = 0;
   bytes = 0;
@@ -32,9 +32,13 @@ class LinkedParts implements Parts {
     return data.toString();
   }
 
-  async read(file: StaticFile, start: number, end: number): Promise<Uint8Array> {
-    const data = new Uint8Array(this.file(file.name).subarray(start, end));
-    await this.carry(file.name.split("-")[0], data.length);
+  async read(name: string, bytes: number, take?: (data: Uint8Array) => void): Promise<Uint8Array> {
+    const data = new Uint8Array(this.file(name)), step = take ? SLICE : bytes;
+    for (let at = 0; at < bytes; at += step) {
+      const some = data.slice(at, at + step);
+      await this.carry(name.split("-")[0], some.length, at === 0);
+      take?.(some);
+    }
     return data;
   }
 
@@ -44,9 +48,9 @@ class LinkedParts implements Parts {
     return data;
   }
 
-  private carry(kind: string, bytes: number): Promise<void> {
-    this.requests++;
-    this.free = Math.max(this.free, this.now + this.trip) + bytes / this.rate;
+  private carry(kind: string, bytes: number, isAsked = true): Promise<void> {
+    if (isAsked) this.requests++;
+    this.free = Math.max(this.free, this.now + (isAsked ? this.trip : 0)) + bytes / this.rate;
     const at = this.free;
     return new Promise((done) => {
       this.due.push({ at, resolve: () => {
@@ -100,7 +104,7 @@ for (const { pose, view } of JSON.parse(readFileSync(0, "utf8")) as { pose: Pose
   void host.start();
   // What is unpacked takes turns of other threads, so nothing is under way only after a while without a request.
   const settle = async (): Promise<void> => {
-    for (let k = 0; k < 8 || (parts!.isIdle && !isComplete && k < 200); k++) {
+    for (let k = 0; k < 12 || (parts!.isIdle && !isComplete && k < 200); k++) {
       await new Promise((done) => { k < 8 ? setImmediate(done) : setTimeout(done, 2); });
     }
   };

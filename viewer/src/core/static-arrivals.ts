@@ -1,140 +1,74 @@
-// What has come of a static scene, as the batches that a renderer takes: slots, rows of chunks, terms, and what is
-// replaced.
-import type { Blocks } from "./static-blocks.ts";
-import { HELD, LOST } from "./static-plan.ts";
-import type { Holdings, Run } from "./static-plan.ts";
+// What has come of a static scene, as the batches that a renderer takes: slots, rows of chunks, and terms. A Gaussian or
+// a term that comes again is left out.
+import type { ChunkRows, Piece } from "./static-pieces.ts";
 import { decodeMean, recordLayout } from "./tables.ts";
 import type { RecordLayout } from "./tables.ts";
-import type { Batch } from "./types.ts";
+import type { Batch, Header } from "./types.ts";
 
-interface Replaced {
-  slot: number;
-  block: number;
-  needs: Uint32Array; // blocks with what replaces it
-}
+const NONE = -1;
+const MOST_TERMS = 256; // of a Gaussian
 
 export class Arrivals {
   gaussians = 0;
   terms = 0;
-  replaced = 0;
-  readonly firstSlot: Uint32Array; // slot of the first Gaussian of each held block
-  readonly #rowOf: Int32Array; // row of each chunk, -1 before it is sent
-  #rows = 0;
-  #waiting: Replaced[] = [];
+  readonly rows: ChunkRows = new Map();
+  readonly #slotOf: Int32Array; // of each Gaussian
+  readonly #rowOf = new Map<number, number>(); // number of the row of each chunk that was sent
+  readonly #single = new Set<number>(); // terms that came one by one
   readonly #layout: RecordLayout;
 
-  constructor(private readonly blocks: Blocks, private readonly held: Holdings) {
-    const { header } = blocks.scene;
-    this.firstSlot = new Uint32Array(blocks.count);
-    this.#rowOf = new Int32Array(header.chunks).fill(-1);
+  constructor(header: Header) {
+    this.#slotOf = new Int32Array(header.gaussians).fill(NONE);
     this.#layout = recordLayout(header.colors.variant);
   }
 
-  /**
-   * Return the batch of a run of records. Without harmonics of a scene that has them, they are 0. A block that makes no
-   * sense is lost, and `lose` is called.
-   */
-  addRecords(run: Run, data: Uint8Array, harmonics: Uint8Array | null, lose: (error: unknown) => void): Batch {
-    const { blocks } = this, layout = this.#layout, each = blocks.harmonicBytes, start = blocks.recordStart;
-    const good: number[] = [], parts: { records: Uint32Array; needs: Uint32Array[] }[] = [];
-    for (let b = run.first; b < run.end; b++) {
-      this.held.records[b] = LOST;
-      try {
-        parts.push(blocks.records(b, data.subarray(start[b] - start[run.first], start[b + 1] - start[run.first])));
-        good.push(b);
-        this.held.records[b] = HELD;
-      } catch (error) {
-        lose(error);
-      }
-    }
-    const count = good.reduce((sum, b) => sum + blocks.size(b), 0);
-    const ids = new Uint32Array(count), rows = new Uint32Array(count), means = new Float32Array(3 * count);
-    const records = new Uint32Array(4 * count), own = each === 0 ? null : new Uint8Array(each * count).fill(128);
-    const firstRow = this.#rows, fresh: number[] = [];
-    let at = 0;
-    good.forEach((b, i) => {
-      const chunk = blocks.chunk[b], from = each * (blocks.start[b] - blocks.start[run.first]);
-      if (this.#rowOf[chunk] < 0) {
-        this.#rowOf[chunk] = this.#rows++;
-        fresh.push(chunk);
-      }
-      this.firstSlot[b] = this.gaussians + at;
-      records.set(parts[i].records, 4 * at);
-      parts[i].needs.forEach((needs, k) => {
-        if (needs.length > 0) this.#waiting.push({ slot: this.firstSlot[b] + k, block: b, needs });
-      });
-      if (harmonics !== null) own?.set(harmonics.subarray(from, from + each * blocks.size(b)), each * at);
-      for (let k = 0; k < blocks.size(b); k++, at++) {
-        ids[at] = blocks.firstId[b] + k;
-        rows[at] = this.#rowOf[chunk];
-        decodeMean(records, at, blocks.rows, chunk, layout, means);
-      }
+  /** Return the batch of what is new in a piece. */
+  add(piece: Piece): Batch {
+    const kept: number[] = [], fresh: number[] = [], first = this.gaussians, firstRow = this.#rowOf.size;
+    piece.ids.forEach((id, i) => {
+      if (this.#slotOf[id] !== NONE) return;
+      this.#slotOf[id] = this.gaussians++;
+      kept.push(i);
+      const start = piece.starts[piece.chunkOf[i]];
+      if (this.#rowOf.has(start)) return;
+      this.#rowOf.set(start, this.#rowOf.size);
+      fresh.push(start);
     });
-    const chunks = new Float32Array(8 * fresh.length), chunkLevels = new Uint8Array(2 * fresh.length);
-    const boxes = new Float32Array(6 * fresh.length);
-    fresh.forEach((chunk, k) => {
-      chunks.set(blocks.rows.subarray(8 * chunk, 8 * chunk + 8), 8 * k);
-      boxes.set(blocks.boxes.subarray(6 * chunk, 6 * chunk + 6), 6 * k);
-      chunkLevels.set(blocks.levels.subarray(2 * chunk, 2 * chunk + 2), 2 * k);
-    });
-    const first = this.gaussians;
-    this.gaussians += count;
-    return { ...this.#empty(), first, ids, records, rows, means, firstRow, chunks, boxes, chunkLevels, harmonics: own };
-  }
-
-  /** Return the batch of a run of items. One that makes no sense is lost, and `lose` is called. */
-  addTerms(run: Run, data: Uint8Array, lose: (error: unknown) => void): Batch {
-    const { blocks, held } = this, start = blocks.termStart!, firstTerm = this.terms;
-    const owners: number[] = [], terms: number[] = [];
-    for (let item = run.first; item < run.end; item++) {
-      const block = item % blocks.count;
-      if (held.records[block] !== HELD) continue;
-      held.terms[item] = LOST;
-      try {
-        const bytes = data.subarray(start[item] - start[run.first], start[item + 1] - start[run.first]);
-        const own = blocks.terms(item, bytes);
-        for (const k of own.owners) owners.push(this.firstSlot[block] + k);
-        for (const bits of own.terms) terms.push(bits);
-        held.terms[item] = HELD;
-      } catch (error) {
-        lose(error);
-      }
-    }
-    this.terms += owners.length;
-    return { ...this.#empty(), firstTerm, terms: Uint32Array.from(terms), owners: Uint32Array.from(owners) };
-  }
-
-  /**
-   * Return a batch with what is replaced by now, given what the cell sees; null where nothing is. `whole`: all that the
-   * cell sees of the highest level is here, so of what it sees nothing has to wait for lower levels, or for what is out
-   * of sight.
-   */
-  sweep(seen: Uint8Array, whole = false): Batch | null {
-    const gone: number[] = [], left: Replaced[] = [];
-    for (const each of this.#waiting) {
-      let some = whole && seen[each.block] === 1, all = true;
-      for (const b of each.needs) {
-        if (this.held.records[b] === HELD) some = true;
-        else if (seen[b] === 1 && !(whole && this.blocks.last(b) < this.blocks.top)) all = false;
-      }
-      if (some && all) gone.push(each.slot);
-      else left.push(each);
-    }
-    if (gone.length === 0) return null;
-    this.#waiting = left;
-    this.replaced += gone.length;
-    return { ...this.#empty(), gone: Uint32Array.from(gone).sort() };
-  }
-
-  #empty(): Batch {
-    const none = (): Uint32Array => new Uint32Array(0);
-    return {
-      first: this.gaussians, ids: none(), records: none(), rows: none(), means: new Float32Array(0),
-      firstRow: this.#rows,
-      chunks: new Float32Array(0), boxes: new Float32Array(0), chunkLevels: new Uint8Array(0), firstTerm: this.terms,
-      terms: none(), owners: none(),
-      gone: none(),
-      harmonics: null,
+    const count = kept.length, each = piece.harmonics === null ? 0 : piece.harmonics.length / piece.ids.length;
+    const batch: Batch = {
+      first, ids: new Uint32Array(count), records: new Uint32Array(4 * count), rows: new Uint32Array(count),
+      means: new Float32Array(3 * count), firstRow, chunks: new Float32Array(8 * fresh.length),
+      boxes: new Float32Array(6 * fresh.length), chunkLevels: new Uint8Array(2 * fresh.length),
+      harmonics: piece.harmonics === null ? null : new Uint8Array(each * count), ...this.#addTerms(piece),
+      gone: new Uint32Array(0),
     };
+    fresh.forEach((start, k) => {
+      const { row, box } = this.rows.get(start)!;
+      batch.chunks.set(row, 8 * k);
+      batch.boxes.set(box, 6 * k);
+    });
+    kept.forEach((i, at) => {
+      const start = piece.starts[piece.chunkOf[i]];
+      batch.ids[at] = piece.ids[i];
+      batch.rows[at] = this.#rowOf.get(start)!;
+      batch.records.set(piece.records.subarray(4 * i, 4 * i + 4), 4 * at);
+      decodeMean(batch.records, at, this.rows.get(start)!.row, 0, this.#layout, batch.means);
+      batch.harmonics?.set(piece.harmonics!.subarray(each * i, each * i + each), each * at);
+    });
+    return batch;
+  }
+
+  /** Return the terms of a piece that are new and belong to Gaussians that are here. */
+  #addTerms(piece: Piece): Pick<Batch, "firstTerm" | "terms" | "owners"> {
+    const firstTerm = this.terms, owners: number[] = [], terms: number[] = [], isSingle = piece.ids.length > 0;
+    piece.owners.forEach((id, i) => {
+      const key = MOST_TERMS * id + piece.numbers[i];
+      if (this.#slotOf[id] === NONE || this.#single.has(key)) return;
+      if (isSingle) this.#single.add(key);
+      owners.push(this.#slotOf[id]);
+      terms.push(piece.terms[2 * i], piece.terms[2 * i + 1]);
+    });
+    this.terms += owners.length;
+    return { firstTerm, terms: Uint32Array.from(terms), owners: Uint32Array.from(owners) };
   }
 }

@@ -1,21 +1,17 @@
-// The cells of a static scene: which cell an eye is in, where its row lies, and what that row says.
-import type { StaticScene } from "./static-scene.ts";
+// The cells of a static scene: which cell an eye is in, and what its row says.
+import { BINS, type StaticScene } from "./static-scene.ts";
 import { Columns, damaged, inflate } from "./static-tables.ts";
 
-/**
- * What a cell sees: blocks, the logarithm (base 2) of the gain of each, and layer by layer that of its items, -Infinity
- * for those of no use here.
- */
+/** What a cell sees: for each part its gain in each bin of directions, and what its terms are worth. */
 export interface CellRow {
-  blocks: Uint32Array;
-  gains: Float32Array;
-  items: Float32Array | null;
-  middle: readonly number[] | null; // where gains were taken; null if they know no distance
+  gains: Float32Array; // (BINS P)
+  terms: Float32Array | null; // (P)
+  middle: readonly number[] | null; // of the cell; null if gains know no direction: they are in the first bin
 }
 
 export class Cells {
   readonly #boxes: Int32Array; // (3 C)
-  readonly #starts: Float64Array; // (C + 1) bytes in `cells`
+  readonly bytes: Uint32Array; // of the row of each
   readonly #byBox = new Map<string, number>();
 
   /** Read the content of `grid`. */
@@ -27,15 +23,9 @@ export class Cells {
     const { count } = scene.cells, columns = new Columns(data, count);
     if (data.length !== 16 * count) throw damaged("grid");
     this.#boxes = new Int32Array(3 * count);
-    this.#starts = new Float64Array(count + 1);
     for (let axis = 0; axis < 3; axis++) columns.sums(4).forEach((box, k) => (this.#boxes[3 * k + axis] = box));
-    columns.next(4).forEach((bytes, k) => {
-      this.#starts[k + 1] = this.#starts[k] + bytes;
-      this.#byBox.set(this.#key(k, 0, 0, 0), k);
-    });
-    if (this.#starts[count] !== scene.files.get("cells")?.bytes) {
-      throw damaged("grid");
-    }
+    this.bytes = columns.next(4);
+    for (let k = 0; k < count; k++) this.#byBox.set(this.#key(k, 0, 0, 0), k);
   }
 
   /** Return the cell that holds a position; if none does, the one with the nearest center. */
@@ -69,11 +59,6 @@ export class Cells {
     return size > 0 ? origin.map((v, axis) => v + size * (this.#boxes[3 * cell + axis] + 0.5)) : null;
   }
 
-  /** Return where the row of a cell lies. */
-  range(cell: number): [number, number] {
-    return [this.#starts[cell], this.#starts[cell + 1]];
-  }
-
   #key(cell: number, x: number, y: number, z: number): string {
     return [this.#boxes[3 * cell] + x, this.#boxes[3 * cell + 1] + y, this.#boxes[3 * cell + 2] + z].join();
   }
@@ -83,23 +68,25 @@ export class Cells {
 export async function readRow(
   scene: StaticScene, coded: Uint8Array, middle: readonly number[] | null,
 ): Promise<CellRow> {
-  const bits = Math.ceil(scene.blocks / 8), each = scene.cells.active ? 1 + scene.layers : 1, seen: number[] = [];
-  const data = await inflate(coded, bits + each * scene.blocks, "cells");
-  for (let b = 0; b < scene.blocks && b >> 3 < data.length; b++) if ((data[b >> 3] >> (b & 7)) & 1) seen.push(b);
-  if (data.length !== bits + each * seen.length) {
-    throw damaged("cells");
-  }
-  const gains = new Float32Array(seen.length);
-  for (let k = 0; k < seen.length; k++) gains[k] = (data[bits + k] - 255 + scene.cells.gainTop) / 4;
-  const items = scene.cells.active
-    ? Float32Array.from(data.subarray(bits + seen.length), (octave) => octave > 0 ? octave - 128 : -Infinity) : null;
-  return { blocks: Uint32Array.from(seen), gains, items, middle };
+  const bits = Math.ceil(scene.parts / 8), each = BINS + (scene.cells.active ? 1 : 0), seen: number[] = [];
+  const data = await inflate(coded, bits + each * scene.parts, "row");
+  for (let p = 0; p < scene.parts && p >> 3 < data.length; p++) if ((data[p >> 3] >> (p & 7)) & 1) seen.push(p);
+  if (data.length !== bits + each * seen.length) throw damaged("row");
+  const gains = new Float32Array(BINS * scene.parts), terms = scene.cells.active ? new Float32Array(scene.parts) : null;
+  seen.forEach((p, k) => {
+    for (let bin = 0; bin < BINS; bin++) {
+      const value = data[bits + bin * seen.length + k];
+      if (value > 0) gains[BINS * p + bin] = 2 ** ((value - 255 + scene.cells.gainTop) / 4);
+    }
+    const octave = data[bits + BINS * seen.length + k];
+    if (terms !== null && octave > 0) terms[p] = 2 ** (octave - 128);
+  });
+  return { gains, terms, middle };
 }
 
-/** Return a row with all blocks alike: what a cell is taken to see whose own row is lost. */
+/** Return a row with all parts alike: what a cell is taken to see whose own row is lost. */
 export function everything(scene: StaticScene): CellRow {
-  return {
-    blocks: Uint32Array.from({ length: scene.blocks }, (_, b) => b), gains: new Float32Array(scene.blocks),
-    items: null, middle: null,
-  };
+  const gains = new Float32Array(BINS * scene.parts);
+  for (let p = 0; p < scene.parts; p++) gains[BINS * p] = 1;
+  return { gains, terms: null, middle: null };
 }

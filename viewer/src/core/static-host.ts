@@ -76,9 +76,8 @@ export class StaticHost {
   async #open(text: string): Promise<void> {
     const scene = parseScene(text);
     this.post({ kind: "header", header: scene.header, fresh: true });
-    let session: StaticSession | null = null;
-    const mine = (): boolean => session !== null && this.#session === session;
-    session = await StaticSession.open(scene, this.#parts, this.#link, {
+    const mine = (): boolean => this.#session === session && !this.#stop.signal.aborted;
+    const session: StaticSession = new StaticSession(scene, this.#parts, this.#link, {
       header: () => undefined,
       batch: (batch) => {
         if (!mine()) return;
@@ -89,11 +88,11 @@ export class StaticHost {
       traffic: () => undefined,
       gone: () => { if (mine()) void this.#renew(); },
     });
-    if (this.#stop.signal.aborted) return;
     this.#session = session;
     session.report();
     if (this.#view !== null) session.setView(this.#view);
     if (this.#pose !== null) session.setPose(this.#pose);
+    await session.start();
   }
 
   /** A file is missing: perhaps the site was written anew under the same address. */
@@ -123,7 +122,7 @@ export class StaticHost {
     this.post({
       kind: "traffic",
       traffic: {
-        bytes, rate, gaussians: got?.gaussians ?? 0, terms: got?.terms ?? 0, replaced: got?.replaced ?? 0,
+        bytes, rate, gaussians: got?.gaussians ?? 0, terms: got?.terms ?? 0, replaced: 0,
         reconnects: this.#restarts,
       },
     });

@@ -1,6 +1,4 @@
-// Bytes of the files of a static scene: HTTP ranges with retries, whole files from servers without ranges, or files
-// held in memory.
-import type { StaticFile } from "./static-scene.ts";
+// Bytes of the files of a static scene: by HTTP with retries, or files held in memory.
 
 /** Why bytes are not to be had. `missing` and `cut` are for good; the scene goes on without them. */
 export class PartError extends Error {
@@ -12,10 +10,8 @@ export class PartError extends Error {
 export interface Parts {
   /** Return the content of scene.json. */
   scene(): Promise<string>;
-  /** Return bytes [start, end) of a file. */
-  read(file: StaticFile, start: number, end: number): Promise<Uint8Array>;
-  /** Whether reading a part of a file costs no more than its bytes. */
-  readonly ranges: boolean;
+  /** Return a file of so many bytes; `take`, if given, gets its pieces as they come. */
+  read(name: string, bytes: number, take?: (data: Uint8Array) => void): Promise<Uint8Array>;
 }
 
 /** What reading reports: bytes as they come, and waits of a link that is down. */
@@ -33,13 +29,10 @@ interface HttpOptions {
 
 const TRIES = 4; // of a server that answers with errors, or cuts
 const LONGEST = 20; // seconds between tries
+const MOST_JSON = 16 << 20;
 
 /** Files below an address. */
 export class HttpParts implements Parts {
-  ranges = true;
-  #known = false; // whether a range has been asked for
-  #probe: Promise<unknown> = Promise.resolve();
-  readonly #whole = new Map<string, Promise<Uint8Array>>();
   readonly #redirect: RequestRedirect;
   readonly #fetch: typeof fetch;
   readonly #sleep: (seconds: number) => Promise<void>;
@@ -59,82 +52,55 @@ export class HttpParts implements Parts {
 
   async scene(): Promise<string> {
     return this.#attempt("scene.json", async () => {
-      const answer = await this.#ask("scene.json", {}, "no-cache");
-      return new TextDecoder().decode(await this.#body(answer));
+      const answer = await this.#ask("scene.json", "no-cache");
+      return new TextDecoder().decode(await this.#body(answer, MOST_JSON));
     });
   }
 
-  async read(file: StaticFile, start: number, end: number): Promise<Uint8Array> {
-    if (end <= start) return new Uint8Array(0);
-    if (end > file.bytes) throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, asked for ${end}`);
-    if (start === 0 && end === file.bytes) return this.#readWhole(file);
-    if (this.ranges && !this.#known) {
-      const first = this.#probe.then(() => this.#known || !this.ranges ? undefined : this.#readRange(file, start, end));
-      this.#probe = first.catch(() => undefined); // the others wait until it is known whether ranges work
-      const found = await first;
-      if (found !== undefined) return found;
-    }
-    if (this.ranges) return this.#readRange(file, start, end);
-    return (await this.#readWhole(file)).slice(start, end);
-  }
-
-  #readWhole(file: StaticFile): Promise<Uint8Array> {
-    const found = this.#whole.get(file.name);
-    if (found !== undefined) return found;
-    const made = this.#attempt(file.name, async () => {
-      const data = await this.#body(await this.#ask(file.name, {}));
-      if (data.length !== file.bytes) {
-        throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, got ${data.length}`);
-      }
+  async read(name: string, bytes: number, take?: (data: Uint8Array) => void): Promise<Uint8Array> {
+    let given = 0; // bytes that `take` has
+    return this.#attempt(name, async () => {
+      const data = await this.#body(await this.#ask(name), bytes, (some, at) => {
+        const fresh = some.subarray(Math.max(given - at, 0));
+        given += fresh.length;
+        if (fresh.length > 0) take?.(fresh);
+      });
+      if (data.length !== bytes) throw new PartError("cut", `${name}: expected ${bytes} bytes, got ${data.length}`);
       return data;
     });
-    this.#whole.set(file.name, made);
-    made.catch(() => this.#whole.delete(file.name)); // it may be asked for again
-    return made;
   }
 
-  async #readRange(file: StaticFile, start: number, end: number): Promise<Uint8Array> {
-    const found = await this.#attempt(file.name, async () => {
-      const answer = await this.#ask(file.name, { Range: `bytes=${start}-${end - 1}` });
-      const data = await this.#body(answer);
-      this.#known = true;
-      if (answer.status !== 206) {
-        this.ranges = false;
-        if (data.length !== file.bytes) {
-          throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, got ${data.length}`);
-        }
-        this.#whole.set(file.name, Promise.resolve(data));
-        return data.slice(start, end);
-      }
-      const said = /^bytes (\d+)-(\d+)\/(\d+|\*)$/.exec(answer.headers.get("content-range") ?? "");
-      const other = said !== null && Number(said[1]) !== start; // a file cut behind these bytes is good enough
-      if (data.length !== end - start || other) {
-        throw new PartError(
-          "cut",
-          `${file.name}: expected bytes ${start} to ${end} of ${file.bytes}, ` +
-            `got ${said?.[0] ?? `${data.length} bytes`}`,
-        );
-      }
-      return data;
-    });
-    return found;
-  }
-
-  async #ask(name: string, headers: Record<string, string>, cache: RequestCache = "default"): Promise<Response> {
+  async #ask(name: string, cache: RequestCache = "default"): Promise<Response> {
     const answer = await this.#fetch(
-      new URL(name, this.base).href, { headers, cache, signal: this.stop, credentials: "same-origin", redirect: this.#redirect },
+      new URL(name, this.base).href, { cache, signal: this.stop, credentials: "same-origin", redirect: this.#redirect },
     );
     if (answer.ok) return answer;
     await answer.body?.cancel();
     const message = `${name}: the server answers ${answer.status || "a redirect"}`;
     const again = answer.status >= 500 || answer.status === 408 || answer.status === 429;
-    if (!again) throw new PartError(answer.status === 416 ? "cut" : "missing", message);
+    if (!again) throw new PartError("missing", message);
     throw new Retry(message, Number(answer.headers.get("retry-after")) || 0);
   }
 
-  async #body(answer: Response): Promise<Uint8Array> {
-    const data = new Uint8Array(await answer.arrayBuffer());
-    this.events.bytes(data.length);
+  /** Return the body of an answer, at most one byte more than `most`; `take` gets its pieces and where they lie. */
+  async #body(answer: Response, most: number, take?: (data: Uint8Array, at: number) => void): Promise<Uint8Array> {
+    const reader = answer.body?.getReader(), pieces: Uint8Array[] = [];
+    let size = 0;
+    while (reader !== undefined && size <= most) {
+      const { done, value } = await reader.read();
+      if (done) break;
+      this.events.bytes(value.length);
+      if (size + value.length <= most) take?.(value, size);
+      pieces.push(value);
+      size += value.length;
+    }
+    if (size > most) await reader?.cancel();
+    const data = new Uint8Array(size);
+    let at = 0;
+    for (const piece of pieces) {
+      data.set(piece, at);
+      at += piece.length;
+    }
     return data;
   }
 
@@ -175,21 +141,17 @@ class Retry extends Error {
 
 /** Files that the page itself holds. */
 export class HeldParts implements Parts {
-  readonly ranges = true;
-
   constructor(private readonly files: ReadonlyMap<string, Blob>, private readonly events: PartEvents) {}
 
   async scene(): Promise<string> {
     return this.#find("scene.json").text();
   }
 
-  async read(file: StaticFile, start: number, end: number): Promise<Uint8Array> {
-    const found = this.#find(file.name);
-    if (found.size !== file.bytes) {
-      throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, got ${found.size}`);
-    }
-    const data = new Uint8Array(await found.slice(start, end).arrayBuffer());
+  async read(name: string, bytes: number, take?: (data: Uint8Array) => void): Promise<Uint8Array> {
+    const data = new Uint8Array(await this.#find(name).arrayBuffer());
+    if (data.length !== bytes) throw new PartError("cut", `${name}: expected ${bytes} bytes, got ${data.length}`);
     this.events.bytes(data.length);
+    take?.(data);
     return data;
   }
 

@@ -1,69 +1,30 @@
-// What to fetch next of a static scene: blocks ranked by weight in view for each byte, cut into slices of neighbouring
-// bytes.
-// The rules are those of the streaming server's policy "utility" (gsvis.abr.policies); the factors are not. docs/static.md
+// What to fetch next of a static scene: the part with the most light in view for what it costs, in bytes and in delay.
+// The rule is that of the streaming server's policy "utility" (gsvis.abr.policies); the factors are not. docs/static.md
 // has one table of both and says why they differ; tests/export/test_factors.py compares it with the sources.
-// The row of a neighbor is ranked alone, after the own cell, so neighbors need no factor.
 import { rotationOf } from "./camera.ts";
-import type { Blocks } from "./static-blocks.ts";
-import { type CellRow, everything } from "./static-cells.ts";
+import type { CellRow } from "./static-cells.ts";
+import type { Index } from "./static-index.ts";
+import { BINS } from "./static-scene.ts";
 import type { Pose, View } from "./types.ts";
 
 export const MARGIN = 0.14; // radians by which the borders of the view move outwards
-const PERIPHERAL = Math.log2(0.003), TERMS = Math.log2(0.003), FINER = Math.log2(0.1), BEYOND = Math.log2(0.05);
-const RECORD = 13; // bytes of a Gaussian
-const POWERS = { high: 1, medium: 1.5, low: 2 };
-const HORIZON = 3, STICKY = 1.2; // seconds; change of the rate that changes the regime
+const PERIPHERAL = 0.003; // how what is out of view counts
+const TERMS = 0.003; // what terms are worth whose row does not say it, over the gain of their part
+const SUB = 6; // samples along a side of a bin
 
-export type Regime = "high" | "medium" | "low";
-
-/** States of the records of blocks, and of items. */
+/** States of parts, and of their terms. */
 export const NONE = 0, ASKED = 1, HELD = 2, LOST = 3;
 
-/** What to fetch: records of blocks, and items, which are layers of the terms of blocks (see `Blocks.termStart`). */
-export interface Order {
-  blocks: Uint32Array; // or items
-  terms: Uint8Array; // 1 for items
-}
-
-/** A run of neighbouring blocks or items that one request fetches. */
-export interface Run {
+/** A part to fetch, or its terms. */
+export interface Choice {
+  part: number;
   terms: boolean;
-  first: number;
-  end: number; // behind the last one
-  place: number; // of its best one in the order
 }
 
 export interface Holdings {
-  records: Uint8Array; // (B) states
-  terms: Uint8Array; // (L B) states of items
-}
-
-/** Return the regime of a rate in bytes a second, given the bytes of each level of a cell; see `regime_of`. */
-export function regimeOf(rate: number, levelBytes: readonly number[], before: Regime | null): Regime {
-  const sizes: number[] = [];
-  for (const size of levelBytes) sizes.push(Math.max(size, sizes[sizes.length - 1] ?? 0));
-  const high = sizes[sizes.length - 1], medium = sizes[Math.max(sizes.length - 2, 0)];
-  const names: Regime[] = ["high", "medium", "low"];
-  const at = (budget: number): number => (budget >= high ? 0 : budget >= medium ? 1 : 2);
-  let now = at(rate * HORIZON);
-  const was = before === null ? now : names.indexOf(before);
-  if (now !== was) {
-    const held = at(now < was ? (rate * HORIZON) / STICKY : rate * HORIZON * STICKY);
-    now = (held - was) * (now - was) > 0 ? held : was;
-  }
-  return names[now];
-}
-
-/** Return the bytes of each level that a cell sees, lowest first. */
-export function levelBytes(blocks: Blocks, row: CellRow): number[] {
-  const found = new Array<number>(blocks.top + 1).fill(0);
-  for (const b of row.blocks) {
-    const c = blocks.chunk[b];
-    for (let level = blocks.levels[2 * c]; level <= blocks.levels[2 * c + 1]; level++) {
-      found[level] += blocks.bytes(b, b + 1);
-    }
-  }
-  return found;
+  parts: Uint8Array; // (P) states
+  terms: Uint8Array; // (P) states
+  left: Float32Array; // (P) share of the light that is not here yet
 }
 
 /** Return five planes (normal, offset): points inside have a positive distance from all; see `FieldOfView.planes`. */
@@ -87,122 +48,77 @@ export function frustum(pose: Pose, view: View, margin = MARGIN): Float64Array {
   return planes;
 }
 
-/** Return what is not held of the row of a cell, most useful first. For a neighbor (`adjacent`) the view does not count. */
-export function rank(
-  blocks: Blocks, row: CellRow, held: Holdings, pose: Pose, view: View, regime: Regime, adjacent = false,
-): Order {
-  const planes = frustum(pose, view), chunks = blocks.levels.length / 2, power = POWERS[regime];
-  const { top, lowest } = blocks, middle = Math.max(top - 1, lowest);
-  const caps = { high: [top, top], medium: [middle, middle], low: [middle, lowest] }[regime];
-  const least = regime === "high" ? top : lowest;
-  const far = new Float32Array(chunks).fill(NaN), inside = new Float32Array(chunks);
-  const seen = row.blocks.length, wide = 1 + blocks.scene.layers; // keys of a block: of its records, of its layers
-  const keys = new Float32Array(wide * seen), found: number[] = [];
-  for (let k = 0; k < seen; k++) {
-    const b = row.blocks[k], c = blocks.chunk[b];
-    if (blocks.levels[2 * c + 1] < least) continue;
-    if (Number.isNaN(far[c])) {
-      const x = blocks.spheres[4 * c], y = blocks.spheres[4 * c + 1], z = blocks.spheres[4 * c + 2],
-        radius = blocks.spheres[4 * c + 3];
-      const away = ([px, py, pz]: readonly number[]): number =>
-        Math.log2((x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2 + radius ** 2 / 4 + 1e-12);
-      far[c] = away(pose.position) - (row.middle ? away(row.middle) : 0);
-      let depth = 0; // how far the center is inside of all borders, at most 0
-      for (let p = 0; p < 20; p += 4) {
-        depth = Math.min(depth, planes[p] * x + planes[p + 1] * y + planes[p + 2] * z + planes[p + 3]);
-      }
-      inside[c] = Math.max(0, 1 + depth / (radius || 1)); // 1 if the center is in view, 0 if nothing is
-    }
-    let factor = -far[c];
-    if (!adjacent) factor += power * PERIPHERAL * (1 - inside[c]) + (blocks.levels[2 * c] > 0 ? FINER : 0);
-    if (blocks.levels[2 * c] > caps[inside[c] && !adjacent ? 0 : 1]) factor += BEYOND;
-    if (held.records[b] === NONE) {
-      keys[wide * k] = row.gains[k] + factor - Math.log2(blocks.size(b));
-      found.push(wide * k);
-    }
-    if (adjacent || blocks.termStart === null || held.records[b] === LOST) continue;
-    for (let layer = 0; layer < wide - 1; layer++) {
-      const item = layer * blocks.count + b, bytes = blocks.bytes(item, item + 1, true);
-      const gain = row.items?.[layer * seen + k] ?? row.gains[k] + TERMS;
-      if (bytes === 0 || gain === -Infinity || held.terms[item] !== NONE) continue;
-      keys[wide * k + layer + 1] = gain + factor - Math.log2(bytes / RECORD);
-      found.push(wide * k + layer + 1);
+/** Return how much of each bin of directions is in view, 0 to 1; bins are those of gsvis.export.lights. */
+export function binsInView(pose: Pose, view: View): Float32Array {
+  const planes = frustum({ ...pose, position: [0, 0, 0] }, view), found = new Float32Array(BINS);
+  const sign = (bit: number): number => (bit ? -1 : 1), v = [0, 0, 0];
+  for (let bin = 0; bin < BINS; bin++) {
+    const axis = bin >> 3;
+    for (let k = 0; k < SUB * SUB; k++) {
+      v[axis] = sign((bin >> 2) & 1);
+      v[(axis + 1) % 3] = sign((bin >> 1) & 1) * ((k % SUB) + 0.5) / SUB;
+      v[(axis + 2) % 3] = sign(bin & 1) * (Math.floor(k / SUB) + 0.5) / SUB;
+      let isIn = true;
+      for (let p = 0; p < 20; p += 4) isIn &&= planes[p] * v[0] + planes[p + 1] * v[1] + planes[p + 2] * v[2] > 0;
+      if (isIn) found[bin] += 1 / (SUB * SUB);
     }
   }
-  const order = Uint32Array.from(found).sort((a, b) => keys[b] - keys[a] || a - b);
-  return {
-    blocks: order.map((entry) => row.blocks[Math.floor(entry / wide)] + Math.max(entry % wide - 1, 0) * blocks.count),
-    terms: Uint8Array.from(order, (entry) => (entry % wide ? 1 : 0)),
-  };
+  return found;
 }
 
 /**
- * Return a row for an eye outside of its cell: with all blocks, those that the cell does not see at a share of what they
- * would add if nothing hid them. The share rises with the distance, see gsvis.abr.outside. Inside the row is unchanged.
+ * Return what each part is worth to an eye: its light in view. Outside of all cells, and without cells, a part counts by
+ * its sphere; of what the nearest cell does not see an eye sees the more, the farther it is (gsvis.abr.outside).
  */
-export function widen(blocks: Blocks, row: CellRow, size: number, eye: readonly number[]): CellRow {
-  const { middle } = row, wide = everything(blocks.scene), { layers } = blocks.scene;
-  const away = middle ? Math.hypot(...middle.map((v, k) => Math.max(Math.abs(v - eye[k]) / size - 0.5, 0))) : 0;
-  if (away < 1e-6) return row;
-  const items = new Float32Array(layers * blocks.count);
-  let own = 0;
-  wide.gains.forEach((_, b) => {
-    const [x, y, z, radius] = blocks.spheres.subarray(4 * blocks.chunk[b]), [p, q, r] = middle!;
-    const sees = row.blocks[own] === b, share = away / (1 + away) * radius / Math.hypot(x - p, y - q, z - r, radius / 2);
-    const gain = wide.gains[b] = sees ? row.gains[own] : 2 * Math.log2(share);
-    for (let layer = 0; layer < layers; layer++) {
-      items[layer * blocks.count + b] = sees && row.items ? row.items[layer * row.blocks.length + own] : gain + TERMS;
+export function worthOf(index: Index, row: CellRow, size: number, pose: Pose, view: View): Float32Array {
+  const { middle } = row, worth = new Float32Array(index.count), bins = binsInView(pose, view);
+  const away = middle
+    ? Math.hypot(...middle.map((v, k) => Math.max(Math.abs(v - pose.position[k]) / size - 0.5, 0)))
+    : 0;
+  const isWithin = middle !== null && away < 1e-6, planes = frustum(pose, view), share = (away / (1 + away)) ** 2;
+  for (let p = 0; p < index.count; p++) {
+    let sum = 0;
+    for (let bin = 0; bin < BINS; bin++) {
+      const gain = row.gains[BINS * p + bin];
+      if (gain > 0) sum += isWithin ? gain * (PERIPHERAL + (1 - PERIPHERAL) * bins[bin]) : gain;
     }
-    if (sees) own++;
-  });
-  return { ...wide, items, middle };
+    if (!isWithin) {
+      const [x, y, z, radius] = index.spheres.subarray(4 * p, 4 * p + 4);
+      const squared = (eye: readonly number[]): number =>
+        (x - eye[0]) ** 2 + (y - eye[1]) ** 2 + (z - eye[2]) ** 2 + radius ** 2 / 4 + 1e-12;
+      const near = middle ? squared(middle) / squared(pose.position) : 1 / squared(pose.position);
+      sum = (sum + (middle ? share * radius ** 2 / squared(middle) : 0)) * near *
+        PERIPHERAL ** (1 - insideOf(planes, x, y, z, radius));
+    }
+    worth[p] = sum;
+  }
+  return worth;
+}
+
+/** Return 1 for a sphere whose center is in view, 0 for one of which nothing is, and between for others. */
+function insideOf(planes: Float64Array, x: number, y: number, z: number, radius: number): number {
+  let depth = 0; // how far the center is inside of all borders, at most 0
+  for (let p = 0; p < 20; p += 4) {
+    depth = Math.min(depth, planes[p] * x + planes[p + 1] * y + planes[p + 2] * z + planes[p + 3]);
+  }
+  return Math.max(0, 1 + depth / (radius || 1));
 }
 
 /**
- * Return the next runs of an order, of about `budget` bytes, and the entry behind them. Blocks between two runs join
- * them where they take at most `gap` bytes and are not held: that is cheaper than another request.
+ * Return the part, or the terms of a part that is here, with the most worth for its cost; null if nothing of worth is
+ * left. A request costs its bytes, and `delay`, the bytes that its connection would carry in a round trip.
  */
-export function slice(
-  blocks: Blocks, order: Order, from: number, held: Holdings, budget: number, gap: number,
-): { runs: Run[]; next: number } {
-  const chosen: [number[], number[]] = [[], []],
-    places: [Map<number, number>, Map<number, number>] = [new Map(), new Map()];
-  let size = 0, next = from;
-  for (; next < order.blocks.length && size < budget; next++) {
-    const b = order.blocks[next], kind = order.terms[next] as 0 | 1, states = kind ? held.terms : held.records;
-    if (states[b] !== NONE) continue;
-    states[b] = ASKED;
-    chosen[kind].push(b);
-    places[kind].set(b, next);
-    size += blocks.bytes(b, b + 1, kind === 1);
+export function choose(
+  index: Index, worth: Float32Array, ofTerms: Float32Array | null, held: Holdings, delay: number,
+): Choice | null {
+  let best: Choice | null = null, most = 0;
+  for (let part = 0; part < index.count; part++) {
+    if (worth[part] <= 0) continue;
+    const mine = (worth[part] * held.left[part] ** 2 + 1e-30) / (index.bytes[part] + delay);
+    if (held.parts[part] === NONE && mine > most) [best, most] = [{ part, terms: false }, mine];
+    if (held.parts[part] !== HELD || held.terms[part] !== NONE || index.termBytes[part] === 0) continue;
+    const theirs = (ofTerms ? ofTerms[part] : worth[part] * TERMS) / (index.termBytes[part] + delay);
+    if (theirs > most) [best, most] = [{ part, terms: true }, theirs];
   }
-  const runs: Run[] = [];
-  for (const kind of [0, 1] as const) {
-    const states = kind ? held.terms : held.records;
-    let last: Run | null = null;
-    for (const b of chosen[kind].sort((p, q) => p - q)) {
-      if (last !== null && joins(blocks, last, b, held, gap)) {
-        for (let k = last.end; k < b; k++) states[k] = ASKED;
-        last.end = b + 1;
-        last.place = Math.min(last.place, places[kind].get(b)!);
-      } else {
-        last = { terms: kind === 1, first: b, end: b + 1, place: places[kind].get(b)! };
-        runs.push(last);
-      }
-    }
-  }
-  return { runs: runs.sort((a, b) => a.place - b.place), next };
-}
-
-function joins(blocks: Blocks, run: Run, block: number, held: Holdings, gap: number): boolean {
-  if (blocks.bytes(run.end, block, run.terms) > gap) return false;
-  for (let k = run.end; k < block; k++) {
-    if (
-      run.terms ? held.terms[k] !== NONE ||
-      (held.records[k % blocks.count] !== HELD && held.records[k % blocks.count] !== ASKED) : held.records[k] !== NONE
-    ) {
-      return false;
-    }
-  }
-  return true;
+  return best;
 }

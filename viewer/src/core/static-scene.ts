@@ -1,18 +1,20 @@
-// What a static scene says of itself (docs/static.md): scene.json checked, its chunks and blocks as tables.
+// What a static scene says of itself (docs/static.md): scene.json, checked.
 import { headerOf, withCode } from "./header.ts";
 import { type Fields, integer, list, number, object, refuse, triple } from "./json.ts";
 import type { HarmonicTables, Header, Pose } from "./types.ts";
 
-export const BLOCK = 64;
-const VERSION = 3;
+export const BINS = 24; // of directions
+const VERSION = 4;
 const MOST = 1 << 28;
 const FARTHEST = 1e30;
 const WHERE = "scene.json";
-const NAME = /^[a-z]+-[0-9a-f]{16}\.bin$/;
+const NAME = /^[a-z]+-[0-9a-f]{16}(\.bin)?$/;
 
+/** A file, or several of a kind, which are numbered. */
 export interface StaticFile {
   name: string;
   bytes: number;
+  count: number;
 }
 
 interface CellInfo {
@@ -25,12 +27,12 @@ interface CellInfo {
 
 export interface StaticScene {
   header: Header;
-  blocks: number;
-  layers: number; // of the terms of a block
-  middle: [number, number, number]; // where centers of chunks are finest
+  parts: number;
+  middle: [number, number, number]; // where centers of parts are finest
   scale: number;
   cells: CellInfo;
   poses: Pose[];
+  first: { bytes: number; pose: Pose }[]; // the file of each first view
   files: Map<string, StaticFile>;
 }
 
@@ -47,21 +49,26 @@ export function parseScene(text: string): StaticScene {
   if (top.version !== VERSION) {
     throw new Error(`${WHERE}: expected version ${VERSION}, got ${String(top.version)}; export the scene again`);
   }
-  if (top.block_gaussians !== BLOCK) refuse(`${WHERE}, block_gaussians`, String(BLOCK), top.block_gaussians);
+  if (top.bins !== BINS) refuse(`${WHERE}, bins`, String(BINS), top.bins);
   const places = object(top.places, `${WHERE}, places`), plain = headerOf(top, WHERE);
   const scene: StaticScene = {
-    header: { ...(top.code === null ? plain : withCode(plain, top, WHERE)), harmonics: top.harmonics === null ? null : parseHarmonics(top.harmonics) },
+    header: {
+      ...withCode(plain, top, WHERE), harmonics: top.harmonics === null ? null : parseHarmonics(top.harmonics),
+    },
     files: parseFiles(object(top.files, `${WHERE}, files`)),
-    blocks: integer(top, "blocks", 0, MOST, WHERE),
-    layers: integer(top, "term_layers", 1, 16, WHERE),
+    parts: integer(top, "parts", 0, plain.gaussians, WHERE),
     middle: triple(places.middle, `${WHERE}, places, middle`),
     scale: number(places.scale, 0, FARTHEST, `${WHERE}, places, scale`),
     cells: parseCells(object(top.cells, `${WHERE}, cells`), `${WHERE}, cells`),
     poses: list(top, "poses", 0, MOST, WHERE).map(
       (each) => parsePose(object(each, `${WHERE}, poses`), `${WHERE}, poses`),
     ),
+    first: list(top, "first", 0, MOST, WHERE).map((each) => {
+      const where = `${WHERE}, first`, said = object(each, where);
+      return { bytes: integer(said, "bytes", 0, MOST, where), pose: parsePose(said, where) };
+    }),
   };
-  checkSizes(scene);
+  checkFiles(scene);
   return scene;
 }
 
@@ -70,7 +77,7 @@ function parseFiles(said: Fields): Map<string, StaticFile> {
   for (const [kind, value] of Object.entries(said)) {
     const where = `${WHERE}, files, ${kind}`, file = object(value, where), { name } = file;
     if (typeof name !== "string" || !NAME.test(name)) return refuse(where, "a name without a path", name);
-    files.set(kind, { name, bytes: integer(file, "bytes", 0, 2 ** 40, where) });
+    files.set(kind, { name, bytes: integer(file, "bytes", 0, 2 ** 40, where), count: integer(file, "count", 0, MOST, where) });
   }
   return files;
 }
@@ -83,15 +90,15 @@ function parseCells(said: Fields, where: string): CellInfo {
   };
 }
 
-function checkSizes(scene: StaticScene): void {
-  const { header, files } = scene;
-  const k = header.harmonics === null ? 0 : (header.harmonics.degree + 1) ** 2 - 1;
-  const wanted = ["index", "grid", "cells", "records"], bytes = 3 * k * header.gaussians;
-  if (header.terms > 0) wanted.push("blocks", "terms");
-  for (const kind of wanted) if (!files.has(kind)) refuse(`${WHERE}, files, ${kind}`, "a file", undefined);
-  const got = files.get("harmonics")?.bytes;
-  if (k > 0 && got !== bytes) refuse(`${WHERE}, files, harmonics`, `${bytes} bytes`, got);
-  if (header.terms > 0 && !header.code) refuse(`${WHERE}, code`, "text", null);
+function checkFiles(scene: StaticScene): void {
+  const { header, files, parts, cells, first } = scene, wanted = new Map([["index", 1], ["grid", 1], ["row", cells.count]]);
+  wanted.set("part", parts);
+  if (header.terms > 0) wanted.set("terms", parts);
+  if (first.length > 0) wanted.set("first", first.length);
+  for (const [kind, count] of wanted) {
+    const got = files.get(kind)?.count;
+    if (got !== count) refuse(`${WHERE}, files, ${kind}`, `${count} files`, got);
+  }
 }
 
 function parsePose(said: Fields, where: string): Pose {

@@ -1,28 +1,26 @@
 // One static scene while it is looked at: its tables, what each cell needs, the requests under way, and what comes of
 // them.
 import { Arrivals } from "./static-arrivals.ts";
-import { Blocks } from "./static-blocks.ts";
 import { Cells, everything, readRow } from "./static-cells.ts";
 import type { CellRow } from "./static-cells.ts";
+import { FirstView } from "./static-first.ts";
+import { Index } from "./static-index.ts";
+import type { Link } from "./static-link.ts";
 import { PartError } from "./static-parts.ts";
 import type { Parts } from "./static-parts.ts";
-import { HELD, LOST, levelBytes, NONE, rank, regimeOf, slice, widen } from "./static-plan.ts";
-import type { Holdings, Order, Regime, Run } from "./static-plan.ts";
-import type { StaticScene } from "./static-scene.ts";
-import type { Link } from "./static-link.ts";
+import { readPiece } from "./static-pieces.ts";
+import { ASKED, choose, HELD, LOST, worthOf } from "./static-plan.ts";
+import type { Choice, Holdings } from "./static-plan.ts";
+import { BINS, type StaticScene } from "./static-scene.ts";
 import type { Pose, SourceEvents, View } from "./types.ts";
 
 const TURN = 0.087; // radians by which the head turns before all is ranked again
 const MOVE = 0.1; // share of the side of a cell by which it moves
-const CONNECTIONS = 6;
-const SLICE_SECONDS = 0.2;
-const [LEAST_SLICE, MOST_SLICE] = [32 << 10, 512 << 10];
-const [LEAST_GAP, MOST_GAP] = [1 << 10, 2 << 10]; // more would cost a slow link more than requests do
-const [ALL_SLICE, ALL_GAP] = [128 << 10, 64 << 10]; // where every block is needed in the end, as without cells
+const CONNECTIONS = 6, MOST_REQUESTS = 16; // at once: of HTTP/1.1, and of links with a long delay
+const PART = 16 << 10; // bytes, about
 const KEPT_ROWS = 64; // cells
 const REST = -1; // in place of a cell: all that there is
-
-const NOTHING: Order = { blocks: new Uint32Array(0), terms: new Uint8Array(0) };
+const LEAST_LEFT = 0.05; // share of a part that may still be of use after a first view
 
 interface SessionEvents extends SourceEvents {
   gone(): void; // a file of this scene is missing: there may be a new one
@@ -32,47 +30,44 @@ export class StaticSession {
   readonly arrivals: Arrivals;
   readonly #held: Holdings;
   readonly #rows = new Map<number, CellRow | Promise<CellRow>>();
+  readonly #first: FirstView[];
+  #index: Index | null = null;
+  #cells: Cells | null = null;
   #pose: Pose | null = null;
   #view: View | null = null;
-  #planned: { cell: number; pose: Pose; view: View; regime: Regime; terms: boolean } | null = null;
-  #order = NOTHING;
-  #place = 0;
-  #queue: Run[] = [];
+  #planned: { cell: number; pose: Pose; view: View } | null = null;
+  #worth: Float32Array = new Float32Array(0);
+  #ofTerms: Float32Array | null = null;
   #left: number[] | null = null; // cells of which what they see is sent when the planned one has all
   #busy = 0;
-  #deferred: { run: Run; data: Uint8Array }[] = []; // terms that came before their records
-  #regime: Regime | null = null;
-  #seen: Uint8Array | null = null; // which blocks the planned row has
-  #termsAsked = false;
   #isClosed = false;
   #isComplete = false;
   readonly #losses = new Map<string, number>();
 
-  private constructor(
-    readonly scene: StaticScene, private readonly parts: Parts, private readonly blocks: Blocks,
-    private readonly cells: Cells | null,
-    private readonly link: Link, private readonly events: SessionEvents,
+  constructor(
+    readonly scene: StaticScene, private readonly parts: Parts, private readonly link: Link,
+    private readonly events: SessionEvents,
   ) {
-    this.#held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(scene.layers * blocks.count) };
-    this.arrivals = new Arrivals(blocks, this.#held);
+    const { parts: count } = scene;
+    this.#held = {
+      parts: new Uint8Array(count), terms: new Uint8Array(count), left: new Float32Array(count).fill(1),
+    };
+    this.arrivals = new Arrivals(scene.header);
+    this.#first = scene.first.map((_, k) => new FirstView(scene, k));
   }
 
-  /** Read the tables of a scene. Without chunks nothing can be drawn; without a grid there is one cell. */
-  static async open(scene: StaticScene, parts: Parts, link: Link, events: SessionEvents): Promise<StaticSession> {
-    const whole = (kind: string): Promise<Uint8Array> => {
-      const file = scene.files.get(kind)!;
-      return parts.read(file, 0, file.bytes);
-    };
-    let lost = "";
-    const grid = whole("grid").then((data) => Cells.open(scene, data)).catch((error: unknown) => {
+  /** Read the tables of the scene. Without an index nothing can be drawn; without a grid there is one cell. */
+  async start(): Promise<void> {
+    const grid = this.#read("grid").then((data) => Cells.open(this.scene, data)).catch((error: unknown) => {
       if (!(error instanceof PartError)) throw error;
-      lost = error.message;
+      this.#lose(error);
       return null;
     });
-    const blocks = await Blocks.open(scene, await whole("index"));
-    const session = new StaticSession(scene, parts, blocks, await grid, link, events);
-    if (lost !== "") session.#lose(lost);
-    return session;
+    grid.catch(() => undefined); // an index that is lost is reported first
+    const index = await Index.open(this.scene, await this.#read("index"));
+    this.#cells = await grid;
+    this.#index = index;
+    this.#pump();
   }
 
   setPose(pose: Pose): void {
@@ -87,7 +82,6 @@ export class StaticSession {
 
   close(): void {
     this.#isClosed = true;
-    this.#queue = [];
   }
 
   /** Say again how things stand, as after a wait. */
@@ -99,120 +93,80 @@ export class StaticSession {
   /** Rank where that is due, and keep requests under way. */
   #pump(): void {
     if (this.#isClosed || this.#pose === null || this.#view === null) return;
-    const cell = this.cells?.at(this.#pose.position) ?? 0, row = this.#row(cell);
-    if (row instanceof Promise) return; // it pumps when it comes
-    if (this.#isStale(cell)) this.#plan(cell, row, this.#pose, this.#view);
-    while (this.#busy < CONNECTIONS) {
-      if (this.#queue.length === 0) this.#refill();
-      const run = this.#queue.shift();
-      if (run === undefined) break;
+    const first = this.#first.find((each) => each.isFor(this.#pose!) && !each.isOver);
+    if (first !== undefined && !first.isAsked) void this.#fetchFirst(first);
+    if (this.#index === null) return;
+    const cell = this.#cells?.at(this.#pose.position) ?? 0, row = this.#row(cell);
+    if (first !== undefined || row instanceof Promise) return; // they pump when they come
+    if (this.#isStale(cell)) this.#plan(cell, row, this.#index, this.#pose, this.#view);
+    while (this.#busy < this.#mostRequests()) {
+      const delay = (this.link.throughput * this.link.roundTrip) / CONNECTIONS;
+      const choice = choose(this.#index, this.#worth, this.#ofTerms, this.#held, delay);
+      if (choice === null) break;
+      this.#states(choice)[choice.part] = ASKED;
       this.#busy++;
-      void this.#fetch(run).finally(() => {
+      void this.#fetch(choice, this.#index).finally(() => {
         this.#busy--;
         this.#pump();
       });
     }
-    if (this.#busy === 0 && this.#queue.length === 0) this.#finish(cell);
+    if (this.#busy === 0) this.#finish(cell);
+  }
+
+  /** Return how many requests fill the link: six, which is what HTTP/1.1 has, and more where the delay is long. */
+  #mostRequests(): number {
+    const filling = Math.ceil((1.5 * this.link.throughput * this.link.roundTrip) / PART);
+    return Math.min(Math.max(filling, CONNECTIONS), MOST_REQUESTS);
   }
 
   #isStale(cell: number): boolean {
     const was = this.#planned, pose = this.#pose!, view = this.#view!;
-    if (was === null || was.cell !== cell || was.terms !== (this.blocks.termStart !== null)) return true;
+    if (was === null || was.cell !== cell) return true;
     if ((["left", "right", "up", "down"] as const).some((side) => was.view[side] !== view[side])) return true;
     const moved = Math.hypot(...pose.position.map((v, k) => v - was.pose.position[k]));
-    const size = this.scene.cells.size > 0 ? this.scene.cells.size : 4 * this.blocks.meanRadius;
+    const size = this.scene.cells.size > 0 ? this.scene.cells.size : 4 * this.#index!.meanRadius;
     const cosine = Math.abs(pose.rotation.reduce((sum, v, k) => sum + v * was.pose.rotation[k], 0));
     const norms = Math.hypot(...pose.rotation) * Math.hypot(...was.pose.rotation);
-    return moved > MOVE * size || 2 * Math.acos(Math.min(cosine / norms, 1)) > TURN ||
-      this.#currentRegime(cell) !== was.regime;
+    return moved > MOVE * size || 2 * Math.acos(Math.min(cosine / norms, 1)) > TURN;
   }
 
-  #currentRegime(cell: number): Regime {
-    const row = this.#rows.get(cell);
-    if (this.blocks.top === 0 || row === undefined || row instanceof Promise) return "high";
-    return (this.#regime = regimeOf(this.link.throughput, levelBytes(this.blocks, row), this.#regime));
-  }
-
-  #plan(cell: number, row: CellRow, pose: Pose, view: View): void {
-    for (const run of this.#queue) for (let b = run.first; b < run.end; b++) this.#states(run)[b] = NONE;
-    this.#queue = [];
-    const regime = this.#currentRegime(cell), wide = widen(this.blocks, row, this.scene.cells.size, pose.position);
-    this.#order = rank(this.blocks, wide, this.#held, pose, view, regime);
-    this.#place = 0;
-    this.#planned = { cell, pose, view, regime, terms: this.blocks.termStart !== null };
-    this.#seen = new Uint8Array(this.blocks.count);
-    for (const b of wide.blocks) this.#seen[b] = 1;
+  #plan(cell: number, row: CellRow, index: Index, pose: Pose, view: View): void {
+    this.#worth = worthOf(index, row, this.scene.cells.size, pose, view);
+    this.#ofTerms = row.terms;
+    this.#planned = { cell, pose, view };
     this.#left = null;
-    if (this.#order.blocks.length > 0 && this.#isComplete) {
+    if (this.#isComplete && choose(index, this.#worth, this.#ofTerms, this.#held, 0) !== null) {
       this.#isComplete = false;
       this.report();
     }
   }
 
-  #refill(): void {
-    const least = this.scene.cells.size === 0 ? ALL_SLICE : LEAST_SLICE;
-    const budget = Math.min(Math.max(SLICE_SECONDS * this.link.throughput, least), MOST_SLICE);
-    const { runs, next } = slice(this.blocks, this.#order, this.#place, this.#held, budget, this.#gap());
-    this.#place = next;
-    this.#queue.push(...runs);
-  }
-
-  /** Return the bytes between two runs for which they are still one request. */
-  #gap(): number {
-    if (!this.parts.ranges) return 0;
-    if (this.scene.cells.size === 0) return ALL_GAP;
-    return Math.min(Math.max((this.link.throughput * this.link.roundTrip) / CONNECTIONS, LEAST_GAP), MOST_GAP);
-  }
-
   /** All that the cell needs is here: say so, and go on with what the cells beside it see, and then with the rest. */
   #finish(cell: number): void {
-    if (!this.#termsAsked && this.scene.header.terms > 0) {
-      void this.#loadTerms();
-      return;
-    }
-    if (this.#termsAsked && this.blocks.termStart === null && !this.#termsLost) return;
     if (!this.#isComplete) {
-      this.#sweep(true);
       this.#isComplete = true;
       this.report();
     }
-    this.#left ??= [...this.cells?.beside(cell) ?? [], REST];
+    this.#left ??= [...this.#cells?.beside(cell) ?? [], REST];
     const other = this.#left[0];
-    if (other === undefined) {
-      this.#seen!.fill(1);
-      this.#sweep(true);
-      return;
-    }
-    const isRest = other === REST, row = isRest ? everything(this.scene) : this.#row(other);
+    if (other === undefined) return;
+    const row = other === REST ? everything(this.scene) : this.#row(other);
     if (row instanceof Promise) return;
     this.#left.shift();
-    const regime = isRest ? "high" : this.#planned!.regime;
-    this.#order = rank(this.blocks, row, this.#held, this.#pose!, this.#view!, regime, !isRest);
-    this.#place = 0;
-    this.#pump();
-  }
-
-  #termsLost = false;
-
-  async #loadTerms(): Promise<void> {
-    this.#termsAsked = true;
-    const file = this.scene.files.get("blocks")!;
-    try {
-      await this.blocks.setTerms(await this.parts.read(file, 0, file.bytes));
-    } catch (error) {
-      this.#termsLost = true;
-      this.#lose(error);
+    for (let p = 0; p < this.#index!.count; p++) {
+      this.#worth[p] = row.gains.subarray(BINS * p, BINS * (p + 1)).reduce((sum, gain) => sum + gain, 0);
     }
+    this.#ofTerms = row.terms;
     this.#pump();
   }
 
   #row(cell: number): CellRow | Promise<CellRow> {
     const found = this.#rows.get(cell);
     if (found !== undefined) return found;
-    const file = this.scene.files.get("cells")!, [start, end] = this.cells?.range(cell) ?? [0, 0];
-    const asked = this.cells === null
+    const cells = this.#cells;
+    const asked = cells === null
       ? Promise.resolve(everything(this.scene))
-      : this.parts.read(file, start, end).then((data) => readRow(this.scene, data, this.cells!.middle(cell)));
+      : this.#read("row", cell, cells.bytes[cell]).then((data) => readRow(this.scene, data, cells.middle(cell)));
     const made = asked.catch((error: unknown) => {
       this.#lose(error);
       return everything(this.scene);
@@ -228,66 +182,57 @@ export class StaticSession {
     return made;
   }
 
-  async #fetch(run: Run): Promise<void> {
+  /** Read the file of a first view while it comes. */
+  async #fetchFirst(first: FirstView): Promise<void> {
+    const { number, bytes, where } = first;
+    first.isAsked = true;
+    let made = Promise.resolve();
     try {
-      if (run.terms) await this.#fetchTerms(run);
-      else await this.#fetchRecords(run);
+      await this.#read("first", number, bytes, (data) => {
+        for (const part of first.take(data)) {
+          made = made.then(async () => {
+            const piece = await readPiece(part, this.scene.header, this.arrivals.rows, where);
+            if (!this.#isClosed) this.events.batch(this.arrivals.add(piece));
+          });
+          made.catch(() => undefined); // awaited below
+        }
+      });
+      await made;
+      const left = await first.left();
+      left.forEach((share, p) => (this.#held.left[p] *= Math.max(share, LEAST_LEFT)));
+    } catch (error) {
+      if (!this.#isClosed) this.#lose(error);
+    }
+    first.isOver = true;
+    this.#pump();
+  }
+
+  async #fetch(choice: Choice, index: Index): Promise<void> {
+    const { part, terms } = choice, kind = terms ? "terms" : "part", states = this.#states(choice);
+    try {
+      const data = await this.#read(kind, part, (terms ? index.termBytes : index.bytes)[part]);
+      const piece = await readPiece(data, this.scene.header, this.arrivals.rows, `${kind} ${part}`);
+      if (this.#isClosed) return;
+      states[part] = HELD;
+      this.events.batch(this.arrivals.add(piece));
     } catch (error) {
       if (this.#isClosed) return;
-      const middle = (run.first + run.end) >> 1;
-      if (error instanceof PartError && error.kind === "cut" && middle > run.first) {
-        this.#queue.push({ ...run, end: middle }, { ...run, first: middle }); // a part of it may be there
-        return;
-      }
-      for (let b = run.first; b < run.end; b++) this.#states(run)[b] = LOST;
+      states[part] = LOST;
       this.#lose(error);
     }
   }
 
-  async #fetchRecords(run: Run): Promise<void> {
-    const { start, recordStart, harmonicBytes: width } = this.blocks;
-    const harmonics = width === 0
-      ? null
-      : this.#read("harmonics", width * start[run.first], width * start[run.end]).catch((error: unknown) => {
-      if (!this.#isClosed) this.#lose(error);
-      return null;
-    });
-    const data = await this.#read("records", recordStart[run.first], recordStart[run.end]), more = await harmonics;
-    if (this.#isClosed) return;
-    this.events.batch(this.arrivals.addRecords(run, data, more, (error) => this.#lose(error)));
-    if (!this.#termsAsked && this.scene.header.terms > 0) void this.#loadTerms();
-    this.#deferred = this.#deferred.filter((each) => !this.#takeTerms(each.run, each.data));
-    this.#sweep();
+  /** Return a file, or one of a kind by its number. */
+  async #read(kind: string, number?: number, bytes?: number, take?: (data: Uint8Array) => void): Promise<Uint8Array> {
+    const { name, bytes: all } = this.scene.files.get(kind)!;
+    return this.link.measure(() =>
+      number === undefined
+        ? this.parts.read(name, all)
+        : this.parts.read(`${name}-${number}.bin`, bytes!, take));
   }
 
-  #sweep(whole = false): void {
-    const gone = this.#seen === null ? null : this.arrivals.sweep(this.#seen, whole);
-    if (gone !== null && !this.#isClosed) this.events.batch(gone);
-  }
-
-  async #fetchTerms(run: Run): Promise<void> {
-    const starts = this.blocks.termStart!, data = await this.#read("terms", starts[run.first], starts[run.end]);
-    if (!this.#isClosed && !this.#takeTerms(run, data)) this.#deferred.push({ run, data });
-  }
-
-  /** Return whether these terms are settled: given on, or of no use because their records are lost. */
-  #takeTerms(run: Run, data: Uint8Array): boolean {
-    const { records } = this.#held, { count } = this.blocks;
-    for (let item = run.first; item < run.end; item++) {
-      if (records[item % count] !== HELD && records[item % count] !== LOST) return false;
-    }
-    this.events.batch(this.arrivals.addTerms(run, data, (error) => this.#lose(error)));
-    return true;
-  }
-
-  async #read(kind: string, start: number, end: number): Promise<Uint8Array> {
-    const file = this.scene.files.get(kind);
-    if (file === undefined) throw new PartError("missing", `${kind}: scene.json names no such file`);
-    return this.link.measure(() => this.parts.read(file, start, end));
-  }
-
-  #states(run: Run): Uint8Array {
-    return run.terms ? this.#held.terms : this.#held.records;
+  #states(choice: Choice): Uint8Array {
+    return choice.terms ? this.#held.terms : this.#held.parts;
   }
 
   #lose(reason: unknown): void {

@@ -32,8 +32,8 @@ export class Columns {
   }
 
   /** Return the next column of folded differences, summed. */
-  sums(width: number): Int32Array {
+  sums(width: number, count = this.count): Int32Array {
     let last = 0;
-    return Int32Array.from(this.next(width), (v) => (last += (v >>> 1) ^ -(v & 1)));
+    return Int32Array.from(this.next(width, count), (v) => (last += (v >>> 1) ^ -(v & 1)));
   }
 }

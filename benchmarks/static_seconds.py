@@ -1,0 +1,147 @@
+"""How many seconds until a view is good: a static site in a browser, at delays of 10 to 100 ms, 10 and 30 Mbit/s?
+
+A host of files (`_slow_host.py`) gives each visitor a delay, by which is meant a round trip, and a rate. The browser is
+Debian's Chromium without a GPU, or Firefox ESR; each visit has an empty cache. What has come is taken from the page's
+own Worker, with its time since navigation, and drawn here: the images are those of the page without the time that this
+machine, which has no GPU, would need to draw. Page, scripts and tables count; the site is opened at its first view, and
+at eyes within cells.
+
+Given: a package with visible sets (--package), --eyes eyes drawn by --seed.
+Measured: seconds from navigation until the image of what has come reaches 20 and 35 dB against all that the package holds
+    in its highest level, 320 x 180, 65 degrees high; requests and bytes until 35 dB, those of the page among them.
+Defaults chosen on: nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _browsers import visits
+from _harness import add_arguments, write_result
+from _slow_host import Host, slow_host
+from static_site import Eye, camera_of, name_arrivals, package_ids, state_after, views_of
+
+from gsvis.color.evaluate import Evaluator
+from gsvis.export import write_site
+from gsvis.package import Package
+from gsvis.scene.gaussians import rotations_from_quats
+
+DELAYS, RATES = (0.01, 0.03, 0.1), (10.0, 30.0)  # seconds, Mbit/s
+TARGETS = (20.0, 35.0)
+GOALS = {(0.03, 30.0): (1.5, 3.0), (0.1, 30.0): (3.0, 6.0)}
+SIZE, WIDE = (320, 180), 97.1  # degrees: 65 high at 16 to 9
+LONGEST = 9.0  # seconds of a visit
+
+_WATCH = """
+window.arrived = [];
+const Real = Worker;
+window.Worker = class extends Real {
+  constructor(url, options) {
+    super(url, options);
+    if (!String(url).includes("static.js")) return;
+    this.addEventListener("message", ({ data }) => {
+      if (data.kind !== "batch") return;
+      const { ids, owners, terms } = data.batch;
+      const words = [...owners].flatMap((slot, k) => [slot, terms[2 * k], terms[2 * k + 1]]);
+      window.arrived.push({ seconds: performance.now() / 1000, ids: [...ids], terms: words, gone: [] });
+    });
+  }
+};
+"""
+
+
+def seconds_until(eye: Eye, steps: list[dict[str, Any]], target: float) -> float | None:
+    """Seconds after which the image has a quality; found by halving, as quality hardly ever falls."""
+    low, high = 0, len(steps) - 1
+    if high < 0 or eye.quality(*state_after(eye, steps, high)) < target:
+        return None
+    while low < high:
+        middle = (low + high) // 2
+        if eye.quality(*state_after(eye, steps, middle)) >= target:
+            high = middle
+        else:
+            low = middle + 1
+    return float(steps[low]["seconds"])
+
+
+def address(pose: dict[str, Any]) -> str:
+    """The part of an address behind # for a pose."""
+    turn = rotations_from_quats(np.array([pose["rotation"]]))[0]
+    to = np.array(pose["position"]) + 2.0 * turn[:, 2]
+    spell = lambda v: ",".join(f"{x:.6f}" for x in v)  # noqa: E731
+    return f"#eye={spell(pose['position'])}&to={spell(to)}&fov=65&mode=fly"
+
+
+def visit(browser: Any, host: Host, eye: Eye, at: str, ids: np.ndarray, contents: Any) -> dict[str, Any]:
+    """Seconds to each target, and bytes and requests until the last."""
+    steps = browser(host.url + at, _WATCH, LONGEST)
+    name_arrivals(steps, ids, contents)
+    row: dict[str, Any] = {str(target): seconds_until(eye, steps, target) for target in TARGETS}
+    end = row[str(TARGETS[-1])] or LONGEST
+    done = [size for _, size, _, last in host.log if last <= end]
+    return {**row, "requests": len(done), "bytes": sum(done), "gaussians": sum(len(step["ids"]) for step in steps)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_arguments(parser)
+    parser.add_argument("--package", required=True, help="folder of a package with visible sets")
+    parser.add_argument("--browsers", nargs="+", default=["chromium"], help="chromium, firefox")
+    parser.add_argument("--eyes", type=int, default=4)
+    parser.add_argument("--seed", type=int, default=21)
+    parser.add_argument("--delays", type=float, nargs="+", default=DELAYS)
+    parser.add_argument("--rates", type=float, nargs="+", default=RATES)
+    args = parser.parse_args()
+    figures: list[dict[str, Any]] = []
+    rows = []
+    with tempfile.TemporaryDirectory() as made_in, Package.open(args.package) as package:
+        site = write_site(Path(made_in) / "site", package)
+        contents, ids = package.contents, package_ids(package)
+        evaluator = Evaluator(contents.colors().dequantize())
+        said = json.loads((site.scene.path / "scene.json").read_bytes())["first"]
+        starts = [{"pose": {key: first[key] for key in ("position", "rotation")}} for first in said]
+        places = [("first view", starts[:1]), ("eyes in cells", views_of(package, args.eyes, np.random.default_rng(args.seed))[0])]
+        with slow_host(Path(site.path)) as host:
+            for name in args.browsers:
+                with visits(name) as browser:
+                    host.begin(0.0, 1e9)
+                    browser(host.url, _WATCH, 3.0)  # warms the machine up, not the cache
+                    for delay in args.delays:
+                        for rate in args.rates:
+                            for place, views in places:
+                                found = []
+                                for view in views:
+                                    eye = Eye(contents, evaluator, camera_of(view["pose"], SIZE, WIDE))
+                                    at = "" if place == "first view" else address(view["pose"])
+                                    host.begin(delay, 125e3 * rate)
+                                    row = visit(browser, host, eye, at, ids, contents)
+                                    found.append(row)
+                                    rows.append({"browser": name, "delay": delay, "rate": rate, "place": place, **row})
+                                    print(rows[-1], flush=True)
+                                figures += summarize(name, delay, rate, place, found)
+    write_result(args.out, __doc__.splitlines()[0], figures, {"package": repr(package), "visits": rows})
+
+
+def summarize(name: str, delay: float, rate: float, place: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The figures of some visits."""
+    goals = GOALS.get((delay, rate), (None, None))
+    out = []
+    for target, goal in zip(TARGETS, goals, strict=True):
+        values = [LONGEST if row[str(target)] is None else row[str(target)] for row in rows]
+        out.append(
+            {
+                "name": f"{name}, {1000 * delay:.0f} ms, {rate:.0f} Mbit/s, {place}: {target:.0f} dB",
+                "target": goal, "reached": float(np.median(values)), "unit": "s", "better": "lower",
+                "worst": max(values),
+            }
+        )  # fmt: skip
+    return out
+
+
+if __name__ == "__main__":
+    main()

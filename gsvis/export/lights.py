@@ -1,0 +1,108 @@
+"""Measure what each cell of a package needs: the light of each Gaussian it sees, and the direction that it comes from.
+
+The light of a Gaussian is its blending weight times its solid angle. Directions are 24 bins: the quarters of the faces
+of a cube around the eye. Each Gaussian is seen from a place of its own in the cell, so sums over many hold for all of
+the cell.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.abr.index import extents
+from gsvis.package.package import Package
+from gsvis.scene.gaussians import Gaussians
+from gsvis.stream.source import class_weights
+
+__all__ = ["BINS", "CellLight", "Lights", "areas_of", "bins_of"]
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+
+BINS = 24
+"""Bins of directions."""
+
+SPHERE = 4.0 * np.pi
+"""Largest solid angle."""
+
+_GOLDEN = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])  # steps of a low-discrepancy sequence
+
+
+class CellLight(NamedTuple):
+    """What a cell sees.
+
+    Attributes:
+        ids: (V,) ids of the Gaussians.
+        lights: (V,) weight times solid angle of each.
+        bins: (V,) bin of the direction of each.
+    """
+
+    ids: I64
+    lights: F64
+    bins: U8
+
+
+class Lights:
+    """The light in the cells of a package with visible sets.
+
+    Args:
+        package: The package.
+        g: Its N decoded Gaussians.
+    """
+
+    def __init__(self, package: Package, g: Gaussians) -> None:
+        self.grid = package.visibility.grid
+        self._sets = package.visibility
+        self._weights = class_weights(package.visibility)
+        self._areas = areas_of(g)
+        self._means = g.means.astype(np.float64)
+        self._apart = np.mod(np.arange(1, len(g) + 1)[:, None] * _GOLDEN, 1.0) - 0.5
+
+    def __len__(self) -> int:
+        """Return the number of cells."""
+        return len(self._sets)
+
+    def brightest(self) -> F64:
+        """Return (N,) the light of each Gaussian in the cell where it is brightest, 0 if no cell sees it."""
+        found = np.zeros(len(self._means))
+        for cell in range(len(self)):
+            ids, lights, _ = self.of_cell(cell)
+            found[ids] = np.maximum(found[ids], lights)
+        return found
+
+    def of_cell(self, cell: int) -> CellLight:
+        """Return what a cell sees."""
+        ids, classes = self._sets.classes(cell)
+        size = self.grid.cell_size
+        eyes = self.grid.centers[cell] + size * self._apart[ids]
+        return self._seen(ids, classes, eyes, size / 2.0)
+
+    def of_eye(self, eye: F64) -> CellLight:
+        """Return what the cell of an eye sees, from this eye."""
+        ids, classes = self._sets.classes(self.grid.nearest(eye))
+        return self._seen(ids, classes, eye, self.grid.cell_size / 8.0)
+
+    def _seen(self, ids: I64, classes: U8, eyes: F64, near: float) -> CellLight:
+        away = self._means[ids] - eyes
+        squared = np.maximum(np.square(away).sum(axis=1), near * near)
+        lights = self._weights[classes] * np.minimum(self._areas[ids] / squared, SPHERE)
+        return CellLight(ids, lights.astype(np.float64), bins_of(away))
+
+
+def bins_of(directions: F64) -> U8:
+    """Return the bin (N,) of directions (N, 3): four for each of +x, -x, +y, -y, +z, -z, by the signs of the others."""
+    axis = np.argmax(np.abs(directions), axis=1)
+    rows = np.arange(len(directions))
+    face = 2 * axis + (directions[rows, axis] < 0)
+    first = directions[rows, (axis + 1) % 3] < 0
+    second = directions[rows, (axis + 2) % 3] < 0
+    return (4 * face + 2 * first + second).astype(np.uint8)
+
+
+def areas_of(g: Gaussians) -> F64:
+    """Return (N,) mean cross-sections, none so large that sums overflow."""
+    return np.minimum(extents(g)[1].astype(np.float64), 1e30)

@@ -1,0 +1,146 @@
+"""Write the rows of the cells of a static scene: the parts that each cell sees, and what they are worth there.
+
+A row has a bitmap of parts, lowest bit first; then for each bin of directions (see `gsvis.export.lights`) a byte for the
+gain of each of these parts; and, where the scene has active terms, a byte for what the terms of each are worth. A scene
+without visible sets has one cell that sees everything, from nowhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.color.activation import Activation
+from gsvis.export.columns import GAIN_STEPS, column, compress, differences, quantize_gains
+from gsvis.export.lights import BINS, SPHERE, CellLight, Lights
+from gsvis.package.package import Package
+from gsvis.progress import Progress
+from gsvis.pvs.cells import CellGrid
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["CellRows", "TermWorth", "rows_of_package", "rows_of_scene"]
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+
+_MOST_LIGHT = 1 << 16  # whole spheres of light from one part
+
+
+@dataclass(frozen=True, eq=False)
+class CellRows:
+    """The cells of a scene, as written.
+
+    Attributes:
+        grid: The cells; None for one cell that sees everything.
+        top: Quarters of an octave of the gain that byte 255 stands for.
+        active: Whether rows hold the worth of terms.
+        rows: The row of each cell.
+    """
+
+    grid: CellGrid | None
+    top: int
+    active: bool
+    rows: tuple[bytes, ...]
+
+    def index(self) -> bytes:
+        """Return the content of `grid`: the box of each cell, and the bytes of its row."""
+        boxes = np.zeros((len(self.rows), 3), np.int64) if self.grid is None else self.grid.coords
+        sizes = [len(row) for row in self.rows]
+        return compress(*(column(differences(boxes[:, axis]), 4) for axis in range(3)), column(sizes, 4))
+
+
+def rows_of_scene(gains: F64, part_of: I64) -> CellRows:
+    """Return one row with all parts, whose gain in the first bin is the sum over their Gaussians.
+
+    Args:
+        gains: (N,) what each Gaussian counts.
+        part_of: (N,) its part.
+    """
+    table = np.zeros((int(part_of.max()) + 1, BINS))
+    table[:, 0] = np.bincount(part_of, gains)
+    top = int(np.ceil(GAIN_STEPS * np.log2(max(table.max(), 1e-300))))
+    return CellRows(None, top, False, (_row(table, np.ones(len(table), np.bool_), top),))
+
+
+def rows_of_package(lights: Lights, worth: TermWorth | None, part_of: I64, progress: Progress) -> CellRows:
+    """Return a row for each cell.
+
+    Args:
+        lights: The light in the cells.
+        worth: What terms are worth; None if cells do not choose terms.
+        part_of: (N,) the part of each Gaussian, -1 for those that have none.
+        progress: Called with stage "sets", in cells.
+    """
+    count = int(part_of.max()) + 1
+    top = int(np.ceil(GAIN_STEPS * np.log2(_MOST_LIGHT * SPHERE)))
+    rows = []
+    progress("sets", 0, len(lights))
+    for cell in range(len(lights)):
+        light = lights.of_cell(cell)
+        gains = gains_of_parts(light, part_of, count)
+        seen = gains.any(axis=1)
+        terms = b"" if worth is None else worth.of_parts(cell, light, part_of, count)[seen].tobytes()
+        rows.append(_row(gains, seen, top, terms))
+        progress("sets", cell + 1, len(lights))
+    return CellRows(lights.grid, top, worth is not None, tuple(rows))
+
+
+def gains_of_parts(light: CellLight, part_of: I64, count: int) -> F64:
+    """Return (count, BINS) the light of each part in each bin."""
+    parts = part_of[light.ids]
+    kept = parts >= 0
+    at = parts[kept] * BINS + light.bins[kept]
+    return np.bincount(at, light.lights[kept], minlength=count * BINS).reshape(count, BINS)
+
+
+class TermWorth:
+    """What the terms of a package are worth in its cells.
+
+    Args:
+        package: A package with active terms.
+        g: Its decoded Gaussians.
+
+    Attributes:
+        owners: (T,) the Gaussian of each term.
+    """
+
+    def __init__(self, package: Package, g: Gaussians) -> None:
+        contents = package.contents
+        self._active = package.active_terms
+        self._grid = package.visibility.grid
+        self._changes = Activation(contents.colors().dequantize(), g.means, self._active.epsilon)
+        self.owners = np.repeat(np.arange(len(g)), contents.term_counts)
+        self._offsets = contents.term_offsets
+        self._count = len(g)
+
+    def numbers(self, terms: I64) -> I64:
+        """Return which of the terms of its Gaussian each term (M,) is."""
+        return np.asarray(terms - self._offsets[self.owners[terms]])
+
+    def of_terms(self, cell: int, eye: F64, light: CellLight) -> tuple[I64, F64]:
+        """Return the terms (M,) that are active in a cell, and the squared change by each, times light, at an eye."""
+        lights = np.zeros(self._count)
+        lights[light.ids] = light.lights
+        active = self._active.active_ids(cell)
+        changes = np.maximum(self._changes.contributions(eye)[active], self._active.epsilon).astype(np.float64)
+        return active, np.square(changes) * lights[self.owners[active]]
+
+    def of_parts(self, cell: int, light: CellLight, part_of: I64, count: int) -> U8:
+        """Return (count,) octaves above 2^-128 of the sums over the active terms of each part; 0 for none."""
+        active, values = self.of_terms(cell, self._grid.centers[cell], light)
+        parts = part_of[self.owners[active]]
+        kept = parts >= 0
+        found = np.bincount(parts[kept], values[kept], minlength=count)
+        octaves = np.rint(np.log2(np.maximum(found, np.finfo(np.float64).tiny))) + 128
+        return np.where(found > 0, np.clip(octaves, 1, 255), 0).astype(np.uint8)
+
+
+def _row(gains: F64, seen: NDArray[np.bool_], top: int, terms: bytes = b"") -> bytes:
+    """Return the row of a cell, compressed."""
+    some = gains[seen]
+    planes = np.where(some > 0, quantize_gains(some, top), 0).astype(np.uint8)
+    bits = np.packbits(seen, bitorder="little").tobytes()
+    return compress(bits, np.ascontiguousarray(planes.T).tobytes(), terms)
