@@ -27,7 +27,7 @@ Visit = Callable[[str, str, float], list[dict[str, Any]]]
 @contextmanager
 def visits(name: str) -> Iterator[Visit]:
     """A function that opens an address with a script in it, waits for some seconds, and returns `window.arrived`."""
-    with (_chromium() if name == "chromium" else _firefox()) as visit:
+    with _chromium() if name == "chromium" else _firefox() as visit:
         yield visit
 
 
@@ -96,7 +96,9 @@ def _firefox() -> Iterator[Visit]:
                 user = bidi.ask("browser.createUserContext")["userContext"]  # with a cache of its own
                 context = bidi.ask("browsingContext.create", type="tab", userContext=user)["context"]
                 bidi.ask("browsingContext.setViewport", context=context, viewport=SIZE)
-                added = bidi.ask("script.addPreloadScript", functionDeclaration=f"() => {{{script}}}", contexts=[context])
+                added = bidi.ask(
+                    "script.addPreloadScript", functionDeclaration=f"() => {{{script}}}", contexts=[context]
+                )
                 bidi.ask("browsingContext.navigate", context=context, url=url, wait="none")
                 time.sleep(seconds)
                 said = bidi.ask(

@@ -7,8 +7,9 @@ machine, which has no GPU, would need to draw. Page, scripts and tables count; t
 at eyes within cells.
 
 Given: a package with visible sets (--package), --eyes eyes drawn by --seed.
-Measured: seconds from navigation until the image of what has come reaches 20 and 35 dB against all that the package holds
-    in its highest level, 320 x 180, 65 degrees high; requests and bytes until 35 dB, those of the page among them.
+Measured: seconds from navigation until the image of what has come reaches 20 and 35 dB against all that the
+    package holds in its highest level, 320 x 180, 65 degrees high; requests and bytes until 35 dB, those of the page
+    among them.
 Defaults chosen on: nothing.
 """
 
@@ -105,7 +106,10 @@ def main() -> None:
         evaluator = Evaluator(contents.colors().dequantize())
         said = json.loads((site.scene.path / "scene.json").read_bytes())["first"]
         starts = [{"pose": {key: first[key] for key in ("position", "rotation")}} for first in said]
-        places = [("first view", starts[:1]), ("eyes in cells", views_of(package, args.eyes, np.random.default_rng(args.seed))[0])]
+        places = [
+            ("first view", starts[:1]),
+            ("eyes in cells", views_of(package, args.eyes, np.random.default_rng(args.seed))[0]),
+        ]
         with slow_host(Path(site.path)) as host:
             for name in args.browsers:
                 with visits(name) as browser:

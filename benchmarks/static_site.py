@@ -4,8 +4,9 @@ Both send to an eye that stands still in a cell, over a link of 10 Mbit/s with a
 `Session` whose messages are acknowledged when they have arrived. The static side is the page's own reader (TypeScript,
 run by node) with files behind a simulated link: scene.json, tables and rows of cells count as well as records. Bytes
 are those of messages and of the bodies of answers; headers of HTTP are not counted, but requests are. A Gaussian has
-the color of those of its terms that have come. Eyes from which the cell's own set does not draw the scene at 40 dB (they
-may lie in furniture) are left out. First views, for which a site has a file of its own, are judged beside the others.
+the color of those of its terms that have come. Eyes from which the cell's own set does not draw the scene at 40 dB
+(they may lie in furniture) are left out. First views, for which a site has a file of its own, are judged beside the
+others.
 
 Given: a package with visible sets (--package), --eyes centers of cells and directions drawn by --seed.
 Measured: bytes until the image of what has come reaches 35 dB (25 and 30 too) against that of all that the package
@@ -178,7 +179,9 @@ def main() -> None:
             name_arrivals(static_steps, ids, contents)
             eye = Eye(contents, evaluator, camera)
             seen = np.zeros(len(eye.g), bool)
-            seen[package.visibility.visible_ids(package.visibility.grid.nearest(np.array(view["pose"]["position"])))] = True
+            seen[
+                package.visibility.visible_ids(package.visibility.grid.nearest(np.array(view["pose"]["position"])))
+            ] = True
             if eye.quality(seen & (contents.last == len(contents.names) - 1), every) < 40.0:
                 continue
             ours = first_bytes(eye, static_steps)
@@ -203,11 +206,16 @@ def main() -> None:
 
 def ratios_of(rows: list[dict[str, Any]], place: str, target: float) -> list[dict[str, Any]]:
     """The figures of one target at one kind of place."""
-    found = [(r["static"][target][0], r["stream"][target][0]) for r in rows if target in r["static"] and target in r["stream"]]
+    found = [
+        (r["static"][target][0], r["stream"][target][0])
+        for r in rows
+        if target in r["static"] and target in r["stream"]
+    ]
     if not found:
         return []
     pairs = np.array(found)
     ratios = pairs[:, 0] / pairs[:, 1]
+    together = pairs[:, 0].sum() / pairs[:, 1].sum()
     name = f"{place}: bytes until {target:.0f} dB over those of the server, {len(pairs)} eyes"
     goal = 1.3 if target == 35.0 else None
     return [
@@ -215,12 +223,15 @@ def ratios_of(rows: list[dict[str, Any]], place: str, target: float) -> list[dic
             "name": f"{name}, {label}", "target": goal, "reached": float(reached), "unit": "x", "better": "lower",
             "worst": float(ratios.max()),
         }
-        for label, reached in (("median", np.median(ratios)), ("all bytes together", pairs[:, 0].sum() / pairs[:, 1].sum()))
+        for label, reached in (("median", np.median(ratios)), ("all bytes together", together))
     ]  # fmt: skip
 
 
 def spell(row: dict[str, Any]) -> dict[str, Any]:
-    return {key: value if key in ("all", "place") else {str(k): list(v) for k, v in value.items()} for key, value in row.items()}
+    return {
+        key: value if key in ("all", "place") else {str(k): list(v) for k, v in value.items()}
+        for key, value in row.items()
+    }
 
 
 def package_ids(package: Package) -> np.ndarray:

@@ -318,9 +318,9 @@ PICTURES = (
         "Which files serve which viewer?",
         (
             Box(0, 0, "data", "package", ("or levels, or any scene",)),
-            Box(1, 0, "work", "blocks", ("64 Gaussians of a chunk",)),
-            Box(2, 0, "data", "static site", ("blocks, rows of cells",)),
-            Box(3, 0, "out", "page of gsvis", ("plans by itself, asks", "for ranges of bytes")),
+            Box(1, 0, "work", "parts", ("1,024 neighbors in space",)),
+            Box(2, 0, "data", "static site", ("parts, rows of cells",)),
+            Box(3, 0, "out", "page of gsvis", ("plans by itself, asks", "for whole files")),
             Box(1, 1, "work", "leaves", ("boxes of a binary tree",)),
             Box(2, 1, "data", "streamed SOG", ("and what cells need",)),
             Box(3, 1, "out", "PlayCanvas, Spark", ("with or without it",)),

@@ -187,6 +187,7 @@ PAGES = {
             "viewer_load_nika",
             "viewer_bytes",
             "viewer_draw",
+            "static_seconds",
             "static_site",
             "static_site_nika",
             "streamed_sog",

@@ -29,7 +29,9 @@ I64 = NDArray[np.int64]
 _VIEW = FieldOfView(1.15, 1.15, 0.64, 0.64, margin=0.14)  # 16 to 9, 65 degrees high
 _ENOUGH = 0.999  # share of the light in view that a file brings
 _PIECE = (4096, 12288)  # bytes of the first piece, and of later ones
-_RECORD, _TERM = 12.0, 4.0  # bytes, about
+# bytes, about
+_RECORD = 12.0
+_TERM = 4.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -100,7 +100,7 @@ def bins_of(directions: F64) -> U8:
     face = 2 * axis + (directions[rows, axis] < 0)
     first = directions[rows, (axis + 1) % 3] < 0
     second = directions[rows, (axis + 2) % 3] < 0
-    return (4 * face + 2 * first + second).astype(np.uint8)
+    return np.asarray(4 * face + 2 * first + second, np.uint8)
 
 
 def areas_of(g: Gaussians) -> F64:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 from gsvis.export.columns import column, compress, differences
 from gsvis.package.codec import packed_bits
 from gsvis.package.contents import Contents
-from gsvis.stream._kernels import records as kernels
 from gsvis.stream.coding import Coding, chunks_of
 
 __all__ = ["PieceCoder", "place"]
@@ -77,7 +77,7 @@ class PieceCoder:
         """
         some = np.zeros(0, np.int64) if terms is None else terms
         of = self.contents.chunks[ids]
-        chunks, counts = np.unique(of, return_counts=True)
+        chunks, counts = np.unique(of.astype(np.int64), return_counts=True)
         columns = [*self._chunk_columns(chunks, counts, known), *self._member_columns(ids, of, counts)]
         owners = self._owners[some]
         columns += [column(differences(owners), 4), column(self._skips(some, owners), 1)]
@@ -140,6 +140,6 @@ class PieceCoder:
         return self.coding.split_records(self.contents)
 
     @cached_property
-    def _chunks(self) -> kernels.Chunks:
+    def _chunks(self) -> Any:
         """Rows of chunks, as the coder takes them."""
         return chunks_of(self.contents.table)

@@ -1,8 +1,8 @@
 """Write the rows of the cells of a static scene: the parts that each cell sees, and what they are worth there.
 
-A row has a bitmap of parts, lowest bit first; then for each bin of directions (see `gsvis.export.lights`) a byte for the
-gain of each of these parts; and, where the scene has active terms, a byte for what the terms of each are worth. A scene
-without visible sets has one cell that sees everything, from nowhere.
+A row has a bitmap of parts, lowest bit first; then for each bin of directions (see `gsvis.export.lights`) a byte for
+the gain of each of these parts; and, where the scene has active terms, a byte for what the terms of each are worth. A
+scene without visible sets has one cell that sees everything, from nowhere.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def rows_of_package(lights: Lights, worth: TermWorth | None, part_of: I64, progr
     for cell in range(len(lights)):
         light = lights.of_cell(cell)
         gains = gains_of_parts(light, part_of, count)
-        seen = gains.any(axis=1)
+        seen = np.asarray(gains.any(axis=1))
         terms = b"" if worth is None else worth.of_parts(cell, light, part_of, count)[seen].tobytes()
         rows.append(_row(gains, seen, top, terms))
         progress("sets", cell + 1, len(lights))
@@ -93,7 +93,7 @@ def gains_of_parts(light: CellLight, part_of: I64, count: int) -> F64:
     parts = part_of[light.ids]
     kept = parts >= 0
     at = parts[kept] * BINS + light.bins[kept]
-    return np.bincount(at, light.lights[kept], minlength=count * BINS).reshape(count, BINS)
+    return np.asarray(np.bincount(at, light.lights[kept], minlength=count * BINS).reshape(count, BINS), np.float64)
 
 
 class TermWorth:

@@ -181,7 +181,9 @@ def matched(read: Reader, package: Package) -> np.ndarray:
     """Id in the package of each id of its static form, by records and means; all are of the highest level."""
     contents = package.contents
     means = contents.gaussians().means
-    found = {(row.tobytes(), mean.tobytes()): k for k, (row, mean) in enumerate(zip(contents.records, means, strict=True))}
+    found = {
+        (row.tobytes(), mean.tobytes()): k for k, (row, mean) in enumerate(zip(contents.records, means, strict=True))
+    }
     pairs = zip(read.by_id("records"), read.by_id("means"), strict=True)
     return np.array([found[row.tobytes(), mean.tobytes()] for row, mean in pairs])
 
@@ -252,9 +254,11 @@ def test_a_cell_says_what_each_part_and_its_terms_are_worth_and_in_which_directi
             assert squares[mine] @ least[owners[mine]] * 0.7 <= worth[k] <= squares[mine] @ most[owners[mine]] * 1.42
 
 
-def test_the_file_of_a_first_view_has_most_of_its_light_without_any_other_file(package: Package, tmp_path: Path) -> None:
+def test_the_file_of_a_first_view_has_most_of_its_light_without_any_other_file(
+    package: Package, tmp_path: Path
+) -> None:
     eye = package.visibility.grid.centers[3]
-    start = replace(Start.looking(eye, eye + [0.3, 0.0, 1.0], (0.0, -1.0, 0.0)), mode="orbit")
+    start = replace(Start.looking(eye, eye + np.array([0.3, 0.0, 1.0]), (0.0, -1.0, 0.0)), mode="orbit")
     write_static(tmp_path / "out", package, StaticOptions(poses=(start,)))
     read = Reader(tmp_path / "out")
     of, counts = matched(read, package), package.contents.term_counts
