@@ -188,6 +188,8 @@ PAGES = {
             "viewer_bytes",
             "viewer_draw",
             "static_seconds",
+            "walls",
+            "first_views",
             "static_site",
             "static_site_nika",
             "streamed_sog",

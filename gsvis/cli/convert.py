@@ -252,7 +252,8 @@ def _write_page(target: Path, name: str, scene: Gaussians, up: NDArray[np.float6
         visit = Visit(find_starts(Source(name, scene), up), up, [])
     status("start", 1, 1)
     x, y, z = visit.up.tolist()
-    write_html(target, scene, StaticOptions(name, (x, y, z), poses=visit.starts), progress=status)
+    options = StaticOptions(name, (x, y, z), poses=visit.starts, space=visit.space)
+    write_html(target, scene, options, progress=status)
 
 
 def _document(command: Convert, out: str, inputs: list[_Input], gaussians: int, sh_degree: int) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,7 +58,9 @@ def run_export(command: Export) -> None:
         if source is not None:
             _, visit = settle_visit(command.where, source, walk, status, quiet=command.output.json)
             up = _triple(visit.up)
-        options = StaticOptions(name, up, poses=None if visit is None else visit.starts)
+        options = StaticOptions(name, up)
+        if visit is not None:
+            options = replace(options, poses=visit.starts, space=visit.space)
         if command.format == "static":
             found = write_site(command.out, scene, options, opens=opens, page=page, progress=status)
         else:

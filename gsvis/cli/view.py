@@ -93,7 +93,7 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[View, Path, str, list[s
         where, visit = settle_visit(command.where, source, walk, status, quiet=command.output.json)
         command = replace(command, where=where)
         x, y, z = visit.up.tolist()
-        shown = StaticOptions(title_of(command.scene, source.lod), (x, y, z), poses=visit.starts)
+        shown = StaticOptions(title_of(command.scene, source.lod), (x, y, z), poses=visit.starts, space=visit.space)
         write_static(folder, source.whole, shown, progress=status)
     return command, folder, title_of(command.scene), visit.remarks
 

@@ -61,6 +61,7 @@ _WORKERS = ("sort.js", "static.js", "network.js")
 _LOG = logging.getLogger(__name__)
 _MARK = "gsvis"  # key in the settings of the digest of exported settings
 _PIECE = 3 << 20  # bytes of a file that are written at a time as base64
+_MOST_WALK = 22_000  # bytes of what is known of walking, in one file: 30 kB as base64
 _DISTANCE = 3.0  # distance from an eye to its target, in the settings
 
 _POLICY = (
@@ -206,7 +207,8 @@ def write_html(
     files = _viewer_files(VIEWER if viewer is None else Path(viewer))
     with temporary_folder() as made_in:
         with output_errors(made_in, remedy=TEMPORARY):
-            found = write_static(Path(made_in) / FOLDER, scene, options, progress=progress)
+            small = replace(options or StaticOptions(), most_walk=_MOST_WALK)
+            found = write_static(Path(made_in) / FOLDER, scene, small, progress=progress)
         document = json.loads(read_whole(found.path / SCENE))
         style, script, *parts = (_inline(files[name].decode()) for name in ("page.css", "page.js", *_PARTS))
         hashes = " ".join(_hash(text) for text in (_START, *parts, script))
@@ -337,7 +339,7 @@ def _views(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield the first views as settings."""
     for pose in document["poses"]:
         ahead = rotations_from_quats(np.array([pose["rotation"]]))[0][:, 2]
-        away = _distance(document, np.array(pose["position"]), ahead)
+        away = pose.get("reach") or _distance(document, np.array(pose["position"]), ahead)
         places = decimals_of([away])
         target = [round(a + away * b, places) for a, b in zip(pose["position"], ahead.tolist(), strict=True)]
         yield {"position": pose["position"], "target": target, "fov": 65}

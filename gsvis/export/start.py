@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gsvis.prepare.start_views import choose_start_views
+from gsvis.prepare.start_views import describe_start_views, shows_object
 from gsvis.pvs.cells import CellGrid
 from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras
@@ -38,30 +38,33 @@ class Start:
         position: (3,) scene frame.
         rotation: (4,) wxyz, world from camera, OpenCV axes.
         mode: Kind of movement from there: "orbit" around a thing, "fly" within a place; None if unknown.
+        reach: Distance ahead of what is looked at, the pivot of orbits, scene units; None if unknown.
     """
 
     position: tuple[float, float, float]
     rotation: tuple[float, float, float, float]
     mode: Mode | None = None
+    reach: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return all known values, ready for JSON."""
         found: dict[str, Any] = {"position": list(self.position), "rotation": list(self.rotation)}
-        return found if self.mode is None else {**found, "mode": self.mode}
+        known = {"mode": self.mode, "reach": None if self.reach is None else float(f"{self.reach:.6g}")}
+        return found | {name: value for name, value in known.items() if value is not None}
 
     @classmethod
-    def from_dict(cls, view: dict[str, list[float]], mode: Mode | None = None) -> Start:
+    def from_dict(cls, view: dict[str, Any], mode: Mode | None = None) -> Start:
         """Return a view of a package; see `Manifest.views`."""
         x, y, z = view["position"]
         a, b, c, d = view["rotation"]
-        return cls((x, y, z), (a, b, c, d), mode)
+        return cls((x, y, z), (a, b, c, d), mode, view.get("reach"))
 
     @classmethod
     def looking(cls, eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> Start:
         """Return the pose of an eye that looks at a target; the image stands upright."""
         at, ahead, above = (np.asarray(each, np.float64) for each in (eye, target, up))
         (view,) = describe_poses(Cameras.look_at([at], [ahead], up=above))
-        return cls.from_dict(view)
+        return replace(cls.from_dict(view), reach=float(np.linalg.norm(ahead - at)))
 
 
 def start_poses(bounds: F64, grid: CellGrid | None, up: ArrayLike) -> tuple[Start, ...]:
@@ -122,11 +125,13 @@ class Visit:
         starts: Upright views that show much of the scene, the best first; None if no eye finds room.
         up: (3,) unit up axis.
         remarks: Remarks for the user, such as what is uncertain.
+        space: Where eyes may be; None if no eye finds room.
     """
 
     starts: tuple[Start, ...] | None
     up: NDArray[np.float64]
     remarks: list[str]
+    space: NavigableSpace | None = None
 
 
 def plan_visit(source: Source, place: Place | None = None, up: ArrayLike | None = None) -> Visit:
@@ -143,7 +148,7 @@ def plan_visit(source: Source, place: Place | None = None, up: ArrayLike | None 
     place = place or find_place(some)
     axis = some.up if up is None else np.asarray(up, np.float64)
     starts = None if place.space is None else _starts_in(some, place.space)
-    return Visit(starts, axis if place.upright is None else place.upright.up, place.remarks)
+    return Visit(starts, axis if place.upright is None else place.upright.up, place.remarks, place.space)
 
 
 def find_starts(source: Source, up: ArrayLike) -> tuple[Start, ...] | None:
@@ -163,8 +168,8 @@ def find_starts(source: Source, up: ArrayLike) -> tuple[Start, ...] | None:
 
 def _starts_in(some: Source, space: NavigableSpace) -> tuple[Start, ...] | None:
     """Return upright views of a thin scene from a navigable space, the best first; None if no eye finds room."""
-    mode: Mode = "orbit" if space.kind.kind == "object" else "fly"
-    found = describe_poses(choose_start_views(some.gaussians, space, drawn=_DRAWN))
+    mode: Mode = "orbit" if shows_object(some.gaussians, space) else "fly"
+    found = describe_start_views(some.gaussians, space, drawn=_DRAWN)
     return tuple(Start.from_dict(view, mode) for view in found) or None
 
 

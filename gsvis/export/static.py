@@ -40,8 +40,10 @@ from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.floor import floor_of_cells, stand_on
+from gsvis.pvs.walk import find_walk
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
 from gsvis.stream.coding import Coding
 
 __all__ = [
@@ -61,7 +63,7 @@ I64 = NDArray[np.int64]
 FORMAT = "gsvis-static"
 VERSION = 4
 SCENE = "scene.json"
-FILES = ("index", "grid", "facts")
+FILES = ("index", "grid", "facts", "walk")
 """Files of a scene besides `scene.json`."""
 FAMILIES = ("row", "part", "terms", "first")
 """Kinds of files that are numbered."""
@@ -98,6 +100,8 @@ class StaticOptions:
         up: (3,) axis that points upwards; None means that of the package, or +z.
         meters_per_unit: Meters in a scene unit, 0 if unknown; None means that of the package, or 0.
         poses: Start views, the first one initially; None takes those of the package, or finds some.
+        space: Where eyes may be in a bare scene, so that visitors can walk; None leaves walking to chance.
+        most_walk: Most bytes of what is known of walking; larger ones are left out.
 
     Raises:
         ValueError: If a number is out of its range.
@@ -107,6 +111,8 @@ class StaticOptions:
     up: tuple[float, float, float] | None = None
     meters_per_unit: float | None = None
     poses: tuple[Start, ...] | None = None
+    space: NavigableSpace | None = None
+    most_walk: int = 1 << 26
 
     def __post_init__(self) -> None:
         if self.up is not None:
@@ -278,7 +284,7 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
     pieces = {"part": [coder.encode(placing.of_part(k)) for k in range(len(parts))]}
     if len(placed.term_records):
         pieces["terms"] = [coder.encode_terms(placing.of_part(k)) for k in range(len(parts))]
-    files = {}
+    files: dict[str, bytes] = {}
     if lights is None:
         cells = rows_of_scene(gains[placing.order], placing.part_of[placing.order])
     else:
@@ -287,6 +293,7 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
         meters = info.meters_per_unit if options.meters_per_unit is None else options.meters_per_unit
         floor = floor_of_cells(lights.grid, meters)
         files["facts"] = _facts(lights.grid, floor)
+        files |= _walk(g[ids], lights.grid, meters, options.most_walk)
         most = int(_FIRST * sum(map(len, pieces["part"])) / max(len(known.poses), 1))
         first = FirstViews(lights, g, worth, coder, placing)
         known = replace(known, first=tuple(_standing(pose, floor) for pose in known.poses))
@@ -309,6 +316,13 @@ def _facts(grid: CellGrid, floor: dict[str, Any]) -> bytes:
     return compress(json.dumps(said, separators=(",", ":"), allow_nan=False).encode())
 
 
+def _walk(g: Gaussians, cells: CellGrid, meters_per_unit: float, most: int) -> dict[str, bytes]:
+    """Return the content of `walk` by its kind; nothing if nobody can walk there, or if it is larger than `most`."""
+    found = find_walk(g, cells, meters_per_unit)
+    packed = b"" if found is None else found.to_bytes()
+    return {"walk": packed} if 0 < len(packed) <= most else {}
+
+
 def _bare_content(scene: Levels | Gaussians, options: StaticOptions, progress: Progress) -> _Content:
     """Return the content of the static form of a bare scene: its highest level."""
     progress("order", 0, 1)
@@ -326,7 +340,10 @@ def _bare_content(scene: Levels | Gaussians, options: StaticOptions, progress: P
     ranges = None if found.ranges is None else found.ranges.as_dict()
     poses = options.poses or start_poses(bounds, None, options.up or (0.0, 0.0, 1.0))
     info = _Info(bounds, ranges, poses=poses)
-    return _Content(coder, parts, cells, {}, pieces, Spheres.from_parts(parts, g), info)
+    files = {}
+    if options.space is not None:
+        files = _walk(g, CellGrid.over(options.space), options.meters_per_unit or 0.0, options.most_walk)
+    return _Content(coder, parts, cells, files, pieces, Spheres.from_parts(parts, g), info)
 
 
 def _keep(folder: Path, kind: str, contents: list[bytes], numbered: bool) -> StaticFile:

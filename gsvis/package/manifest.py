@@ -165,15 +165,16 @@ class Manifest:
         return sum(block.num_terms for block in self.blocks)
 
     @property
-    def views(self) -> list[dict[str, list[float]]]:
-        """Starting views from the provenance, the best first: `position` (3,) and `rotation` (4,) wxyz.
+    def views(self) -> list[dict[str, Any]]:
+        """Starting views from the provenance, the best first: `position` (3,), `rotation` (4,) wxyz, maybe `reach`.
 
-        World from camera, OpenCV axes. Invalid entries are skipped.
+        World from camera, OpenCV axes; `reach` is the distance of what is looked at. Invalid entries are skipped.
         """
         listed = self.info.provenance.get("views")
         kinds = (("position", 3), ("rotation", 4))
         return [
             {name: [float(value) for value in each[name]] for name, _ in kinds}
+            | ({"reach": float(each["reach"])} if _is_vector([each.get("reach")], 1) and each["reach"] > 0 else {})
             for each in (listed if isinstance(listed, list) else [])
             if isinstance(each, dict) and all(_is_vector(each.get(name), count) for name, count in kinds)
         ]

@@ -25,7 +25,7 @@ from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.package.writer import check_target
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.stages import StageRecord, Stages, around_of
-from gsvis.prepare.start_views import choose_start_views
+from gsvis.prepare.start_views import describe_start_views
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.stored_certificates import StoredCertificates
@@ -33,7 +33,6 @@ from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.scene.poses import describe_poses
 
 __all__ = ["Prepared", "check_scene", "finish_package", "prepare_package", "stages_of"]
 
@@ -157,8 +156,8 @@ def finish_package(
             certificates = store.certificates
             twice = store.info.config.get("traced_twice")
         began = time.perf_counter()
-        views = choose_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
-        found = {"levels": quality, "directions": directions, "views": describe_poses(views), "judged": judged}
+        views = describe_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
+        found = {"levels": quality, "directions": directions, "views": views, "judged": judged}
         provenance = {**(about or {}), "config": config.as_dict(), **found}
         info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity, config.epsilon)
         with write_package(target, levels, packed, info=info, visibility=sets, progress=stages.progress) as package:

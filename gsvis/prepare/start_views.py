@@ -1,24 +1,29 @@
 """Choose start views for visitors: upright, from where a person may stand, and with much to see.
 
-Cameras are drawn at random where eyes may be. A view is worth as many Gaussians as contribute to its pixels, so one
-into a near wall is worth little. Scene frame; OpenCV cameras.
+An object is whole in the picture, from several sides, and views aim at its middle. In rooms eyes stand where people
+stand, away from walls, and look where there is most room. In an open place the first views aim at its detail. Of all
+such views those are taken that show most Gaussians and have least right in front of the eye. Scene frame; OpenCV
+cameras.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
-from gsvis.render import view_weights
+from gsvis.render import rasterize, view_weights
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.core import find_core
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.poses import describe_poses
 from gsvis.scene.view_sampling import ViewSampling
 
-__all__ = ["START_VIEWS", "choose_start_views"]
+__all__ = ["START_VIEWS", "choose_start_views", "describe_start_views", "shows_object"]
 
 F64 = NDArray[np.float64]
 
@@ -27,9 +32,23 @@ START_VIEWS = 5
 
 _SAMPLING = ViewSampling(48, 96, 72, 80.0, stream=4)
 _LEVEL = 0.35  # greatest slope of a view, as the sine of its angle with the ground
-_STANDING = (0.35, 0.75)  # height of an eye between floor and ceiling
+_STANDING = 0.58  # height of an eye between floor and ceiling
 _SEEN = 0.25  # least summed weight, pixels, of a Gaussian that counts
 _APART = 0.1  # least distance between the eyes of two views, in the diagonal of all
+_COVERAGE = 0.995  # share of the centers of an object that its box holds on each axis
+_SIDES = 12  # around an object
+_SIDES_APART = 0.3  # the same around an object: about 60 degrees
+_TILTS = (10.0, 25.0)  # degrees above the middle of an object
+_STEEP = 60.0  # the same, of a thing that lies flat
+_FLAT = 0.3  # height of such a thing in its longest side
+_FRAME = 0.85 * np.tan(np.radians(30.0))  # half of a picture that an object fills, for a field of view of 60 degrees
+_TURNS = 16  # level directions in which room is looked for
+_WALLED = 0.75  # least share of these that end at something, in rooms
+_CLEAR = 0.6  # least free part of the way from an eye to the middle of the detail
+_TRIED = 12  # lowest eyes of those that see it
+_MORE = 240  # eyes that are tried for that
+_NEAR = 0.2  # what is nearer than this, in the distance to what is looked at, is in the way
+_IN_THE_WAY = 4.0  # how much more it counts than what is seen
 
 
 def choose_start_views(
@@ -44,26 +63,171 @@ def choose_start_views(
         drawn: Number of cameras to choose from.
         seed: Seed of the random numbers.
     """
-    try:
-        cameras = replace(_SAMPLING, count=drawn, seed=seed).cameras(scene, space)
-    except SceneError:
-        return None
+    favored = 0
+    if shows_object(scene, space):
+        cameras = _around(scene, space)
+    else:
+        try:
+            cameras = replace(_SAMPLING, count=drawn, seed=seed).cameras(scene, space)
+        except SceneError:
+            return None
+        cameras, favored = _within(scene, space, cameras)
+    worth = _worth(scene, space, cameras)
+    if favored:
+        worth[np.argmax(worth[:favored])] = np.inf  # one view of the detail comes first
     eyes = cameras.viewpoints
-    fitting = _is_standing(eyes, space) & (np.abs(cameras.forwards @ space.up) <= _LEVEL)
-    some = np.flatnonzero(fitting) if fitting.any() else np.arange(len(cameras))
-    worth = [int(np.count_nonzero(view_weights(scene, cameras[c]).summed[0] >= _SEEN)) for c in some.tolist()]
-    apart = _APART * float(np.linalg.norm(np.ptp(eyes, axis=0)))
+    apart = (_SIDES_APART if shows_object(scene, space) else _APART) * float(np.linalg.norm(np.ptp(eyes, axis=0)))
     chosen: list[int] = []
-    for k in some[np.argsort(-np.array(worth), kind="stable")].tolist():
+    for k in np.argsort(-worth, kind="stable").tolist():
         if len(chosen) < count and all(np.linalg.norm(eyes[k] - eyes[other]) >= apart for other in chosen):
             chosen.append(k)
     return cameras[chosen]
 
 
-def _is_standing(eyes: F64, space: NavigableSpace) -> NDArray[np.bool_]:
-    """Return whether each eye is at the height of a standing person, where there are a floor and a ceiling."""
+def _pivot_distances(scene: Gaussians, space: NavigableSpace, cameras: Cameras) -> F64:
+    """Return (C,) how far ahead lies what each camera looks at: the middle of an object, else the first surface.
+
+    Where nothing solid is ahead, it is the point nearest to the middle of the scene's detail.
+
+    Args:
+        scene: The scene.
+        space: Where eyes may be.
+        cameras: The cameras.
+    """
+    eyes = cameras.viewpoints
+    low, high = _subject(scene)
+    to_middle = np.einsum("ci,ci->c", 0.5 * (low + high) - eyes, cameras.forwards)
+    distances = np.maximum(to_middle, 0.1 * float((high - low).max()))
+    if shows_object(scene, space):
+        return distances
+    ahead = space.free_distances(eyes, cameras.forwards)
+    return np.asarray(np.where(np.isfinite(ahead), ahead, distances), np.float64)
+
+
+def describe_start_views(scene: Gaussians, space: NavigableSpace, **options: Any) -> list[dict[str, Any]]:
+    """Return the start views of a scene as poses, each with its `reach`, the distance of the pivot; may be empty.
+
+    Args:
+        scene: The scene.
+        space: Allowed viewpoints.
+        **options: Those of `choose_start_views`.
+    """
+    cameras = choose_start_views(scene, space, **options)
+    if cameras is None:
+        return []
+    reaches = _pivot_distances(scene, space, cameras).tolist()
+    poses = describe_poses(cameras)
+    return [pose | {"reach": float(f"{reach:.6g}")} for pose, reach in zip(poses, reaches, strict=True)]
+
+
+def shows_object(scene: Gaussians, space: NavigableSpace) -> bool:
+    """Return whether a scene is an object, or may be one and has nothing around it."""
+    kind = space.kind
+    return kind.kind == "object" or (kind.other == "object" and not find_core(scene).has_surroundings)
+
+
+def _subject(scene: Gaussians) -> tuple[F64, F64]:
+    """Return the corners of the box around what a scene shows: its detail, without what lies around it."""
+    core = find_core(scene, _COVERAGE)
+    if core.has_surroundings:
+        return core.detail_low, core.detail_high
+    return core.low, core.high
+
+
+def _around(scene: Gaussians, space: NavigableSpace) -> Cameras:
+    """Return cameras around an object that hold all of its box; those whose eyes lie in the space, if any do."""
+    low, high = _subject(scene)
+    middle = 0.5 * (low + high)
+    ends = np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), axis=-1).reshape(-1, 3) - middle
+    east = np.cross(space.up, np.eye(3)[np.abs(space.up).argmin()])
+    east /= np.linalg.norm(east)
+    north = np.cross(space.up, east)
+    eyes = []
+    sides = ends.max(axis=0)
+    is_flat = float(np.abs(space.up) @ sides) < _FLAT * float(sides.max())
+    for tilt in np.radians([*_TILTS, _STEEP] if is_flat else _TILTS):
+        for turn in 2.0 * np.pi * np.arange(_SIDES) / _SIDES:
+            away = np.cos(tilt) * (np.cos(turn) * east + np.sin(turn) * north) + np.sin(tilt) * space.up
+            right = np.cross(away, space.up)
+            right /= np.linalg.norm(right)
+            wide = np.maximum(np.abs(ends @ right), np.abs(ends @ np.cross(right, away)))
+            eyes.append(middle + float((wide / _FRAME + ends @ away).max()) * away)
+    found = np.array(eyes)
+    inside = space.contains(found)
+    return _looking(found[inside] if inside.any() else found, middle, space)
+
+
+def _within(scene: Gaussians, space: NavigableSpace, drawn: Cameras) -> tuple[Cameras, int]:
+    """Return level cameras at the eyes of drawn ones, and how many of the first look at the detail of an open place.
+
+    In rooms all look to where most room is.
+    """
+    eyes = drawn.viewpoints
+    if space.kind.kind != "rooms":
+        eyes = np.concatenate([eyes, space.sample_viewpoints(_MORE, np.random.default_rng(len(eyes)))])
+    eyes = _standing(eyes, space)
+    east = np.cross(space.up, np.eye(3)[np.abs(space.up).argmin()])
+    east /= np.linalg.norm(east)
+    turns = 2.0 * np.pi * np.arange(_TURNS) / _TURNS
+    ways = np.outer(np.cos(turns), east) + np.outer(np.sin(turns), np.cross(space.up, east))
+    free = space.free_distances(np.repeat(eyes, _TURNS, axis=0), np.tile(ways, (len(eyes), 1)))
+    free = free.reshape(-1, _TURNS)
+    room = np.minimum(free, np.nanmax(np.where(np.isfinite(free), free, np.nan), initial=1.0))
+    if space.kind.kind == "rooms" or np.isfinite(free).mean() >= _WALLED:
+        walled = np.isfinite(free).mean(axis=1) >= _WALLED
+        clear = room.min(axis=1) >= np.median(room.min(axis=1))
+        some = walled & clear if (walled & clear).any() else np.ones(len(eyes), bool)
+        eyes = eyes[some]
+        wide = sum(np.roll(room[some], k, axis=1) for k in (-1, 0, 1))
+        return _looking(eyes, eyes + ways[np.argmax(wide, axis=1)], space), 0
+    low, high = _subject(scene)
+    middle = find_core(scene).center
+    away = middle - eyes
+    sight = np.linalg.norm(away, axis=1)
+    below = space.free_distances(eyes, np.tile(-space.up, (len(eyes), 1)))
+    clear = space.free_distances(eyes, away / sight[:, None]) >= _CLEAR * sight
+    level = np.abs(away @ space.up) <= _LEVEL * sight
+    apart = sight >= 0.3 * float(np.linalg.norm(high - low))
+    good = np.flatnonzero(np.isfinite(below) & clear & level & apart)
+    subject = eyes[good[np.argsort(below[good], kind="stable")][:_TRIED]]
+    others = drawn[np.flatnonzero(np.abs(drawn.forwards @ space.up) <= _LEVEL)]
+    aims = np.concatenate([np.broadcast_to(middle, subject.shape), others.viewpoints + others.forwards])
+    return _looking(np.concatenate([subject, others.viewpoints]), aims, space), len(subject)
+
+
+def _looking(eyes: F64, targets: F64, space: NavigableSpace) -> Cameras:
+    """Return upright cameras at eyes (C, 3) that look at targets, as wide as those that are drawn."""
+    aims = np.broadcast_to(targets, eyes.shape)
+    return Cameras.look_at(eyes, aims, up=space.up, width=_SAMPLING.width, height=_SAMPLING.height, fov=_SAMPLING.fov)
+
+
+def _worth(scene: Gaussians, space: NavigableSpace, cameras: Cameras) -> F64:
+    """Return (C,) how much each view shows, less for what is in the way: Gaussians, and of an object contrasts.
+
+    The front of an object has no more Gaussians than its back, but more to look at.
+    """
+    distances = _pivot_distances(scene, space, cameras)
+    is_object = shows_object(scene, space)
+    found = []
+    for c, eye in enumerate(cameras.viewpoints):
+        summed = view_weights(scene, cameras[c]).summed[0]
+        near = np.linalg.norm(scene.means - eye, axis=1) < _NEAR * distances[c]
+        blocked = float(summed[near].sum() / max(float(summed.sum()), 1e-9))
+        shown = float(np.count_nonzero(summed >= _SEEN) * summed.sum())  # nobody looks into the void
+        if is_object:
+            brightness = rasterize(scene, cameras[c]).images[0].mean(axis=2)
+            shown = sum(float(np.abs(np.diff(brightness, axis=axis)).sum()) for axis in (0, 1))
+        found.append(shown * max(0.0, 1.0 - _IN_THE_WAY * blocked))
+    return np.array(found)
+
+
+def _standing(eyes: F64, space: NavigableSpace) -> F64:
+    """Return eyes (C, 3), moved to the height of a standing person where there are a floor and a ceiling, if free."""
     below, above = (space.free_distances(eyes, np.tile(way, (len(eyes), 1))) for way in (-space.up, space.up))
-    roofed = np.isfinite(below + above)
-    share = np.full(len(eyes), 0.5)
-    share[roofed] = below[roofed] / (below + above)[roofed]
-    return (share >= _STANDING[0]) & (share <= _STANDING[1])
+    column = below + above
+    rise = np.zeros(len(eyes))
+    roofed = np.isfinite(column)
+    rise[roofed] = _STANDING * column[roofed] - below[roofed]
+    moved = eyes + rise[:, None] * space.up
+    free = space.contains(moved)
+    return moved[free] if free.any() else eyes

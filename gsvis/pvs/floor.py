@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis.pvs.cells import Cells
 
-__all__ = ["floor_of_cells", "stand_on"]
+__all__ = ["floor_of_cells", "level_axes", "stand_on"]
 
 F64 = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def floor_of_cells(grid: Cells, meters_per_unit: float) -> dict[str, Any]:
         `up`; null where nobody can stand.
     """
     up = grid.up
-    first, second = _level_axes(up)
+    first, second = level_axes(up)
     along = grid.corners() @ np.stack([first, second, up], axis=1)
     low = along.min(axis=0)
     high = along.max(axis=0)
@@ -137,7 +137,7 @@ def _around(values: F64) -> F64:
     return np.stack([wide[y : y + rows, x : x + columns] for y in steps for x in steps])
 
 
-def _level_axes(up: F64) -> tuple[F64, F64]:
+def level_axes(up: F64) -> tuple[F64, F64]:
     """Return two unit axes perpendicular to an axis, axes of the scene's own if possible."""
     helper = np.zeros(3)
     helper[int(np.abs(up).argmin())] = 1.0

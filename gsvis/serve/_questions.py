@@ -11,7 +11,7 @@ from typing import Any
 from starlette.responses import PlainTextResponse, Response
 
 from gsvis.files.cache import Cache
-from gsvis.serve.facts import describe_cells, describe_floor, describe_sight, explain
+from gsvis.serve.facts import describe_cells, describe_floor, describe_sight, describe_walk, explain
 from gsvis.serve.scenes import ServedScene
 from gsvis.stream import StreamedScene
 
@@ -21,6 +21,7 @@ FACTS: dict[str, Callable[[StreamedScene], Any]] = {
     "cells": describe_cells,
     "floor": describe_floor,
     "seen": describe_sight,
+    "walk": describe_walk,
 }
 """Facts about a whole scene, by the last part of their address."""
 

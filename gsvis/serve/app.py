@@ -5,7 +5,7 @@
     /stream, /stream/NAME               WebSocket: the protocol of docs/streaming.md
     /packages/NAME/manifest.json        files of a package, for clients that fetch parts themselves
     /packages/NAME/parts/HASH.arrow     and HASH.bin
-    /scenes/NAME/why/ID                 facts for a viewer, as JSON; also /scenes/NAME/cells, floor, seen
+    /scenes/NAME/why/ID                 facts for a viewer, as JSON; also /scenes/NAME/cells, floor, seen, walk
     /scenes/NAME/FILE                   files of a static scene
     /healthz, /metrics
 

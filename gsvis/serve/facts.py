@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from gsvis.pvs.floor import floor_of_cells
 from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.walk import find_walk
 from gsvis.scene.icosphere import NUM_FACES, face_directions
 from gsvis.stream import StreamedScene
 
-__all__ = ["describe_cells", "describe_floor", "describe_sight", "explain"]
+__all__ = ["describe_cells", "describe_floor", "describe_sight", "describe_walk", "explain"]
 
 F64 = NDArray[np.float64]
 
@@ -124,6 +125,17 @@ def describe_floor(scene: StreamedScene) -> dict[str, Any] | None:
     if not scene.source.has_cells:
         return None
     return floor_of_cells(scene.index.grid, scene.about.meters_per_unit)
+
+
+def describe_walk(scene: StreamedScene) -> dict[str, Any] | None:
+    """Return `packed`, the bytes of the `WalkGrid` of a scene as base64; None without cells or for large scenes."""
+    sets = scene.index.sets.whole_store
+    if sets is None or sets.gaussians > _MOST_MARKED:
+        return None
+    (contents,) = scene.source.pieces()
+    finest = contents.gaussians(np.flatnonzero(contents.last == len(contents.names) - 1))
+    found = find_walk(finest, sets.grid, scene.about.meters_per_unit)
+    return None if found is None else {"packed": base64.b64encode(found.to_bytes()).decode()}
 
 
 def _rounded(values: NDArray[np.floating[Any]]) -> list[float]:

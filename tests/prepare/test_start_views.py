@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gsvis.package import PackageInfo
-from gsvis.prepare.start_views import START_VIEWS, choose_start_views
+from gsvis.prepare.start_views import START_VIEWS, choose_start_views, describe_start_views
 from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -39,10 +41,40 @@ def test_the_first_view_shows_more_than_most_and_all_stand_upright_and_apart() -
     assert seen(g, views[0])[0] > np.median(seen(g, usual))
 
 
+def test_an_object_is_whole_in_views_from_several_sides_that_aim_at_its_middle() -> None:
+    rng = np.random.default_rng(0)
+    means = rng.uniform([-0.3, -0.2, 0.0], [0.3, 0.2, 2.0], (800, 3))
+    quats = np.tile([1.0, 0.0, 0.0, 0.0], (800, 1))
+    g = Gaussians(means, quats, np.full((800, 3), 0.05), np.full(800, 0.9), rng.random((800, 1, 3)))
+    found = NavigableSpace.around(g, up="+z")
+    space = replace(found, kind=replace(found.kind, kind="object"))
+    views = choose_start_views(g, space)
+    assert views is not None
+    assert len(views) >= 3
+    places = np.einsum("cij,nj->cni", views.viewmats[:, :3, :3], means) + views.viewmats[:, None, :3, 3]
+    assert (np.abs(places[..., :2]) < np.tan(np.radians(30.0)) * places[..., 2:]).all()  # at 60 degrees
+    reaches = [view["reach"] for view in describe_start_views(g, space)]
+    middles = views.viewpoints + np.array(reaches)[:, None] * views.forwards
+    assert np.abs(middles - [0.0, 0.0, 1.0]).max() < 0.05
+    level = views.viewpoints[:, :2] / np.linalg.norm(views.viewpoints[:, :2], axis=1, keepdims=True)
+    assert (level @ level.T)[~np.eye(len(views), dtype=bool)].max() < np.cos(np.radians(25.0))
+
+
+def test_views_in_rooms_stand_off_the_walls_and_know_how_far_they_look() -> None:
+    g, space = rooms()
+    for view in describe_start_views(g, space, count=3):
+        x, y, z = view["position"]
+        assert 0.3 < x < 7.7
+        assert 0.3 < y < 3.7
+        assert 0.7 < z < 2.3
+        assert 0.5 < view["reach"] < 9.0
+
+
 def test_a_scene_without_room_has_none() -> None:
     g, space = rooms()
     solid = Gaussians(g.means[:1], g.quats[:1], np.full((1, 3), 50.0), [1.0], g.sh0[:1])
     assert choose_start_views(solid, space) is None
+    assert describe_start_views(solid, space) == []
     assert describe_poses(None) == []
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 
 from gsvis.package import Package
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.floor import _level_axes, _lowest_runs
+from gsvis.pvs.floor import _lowest_runs, level_axes
+from gsvis.pvs.walk import find_walk
 from gsvis.raycast.directions import face_of
 from gsvis.serve.facts import describe_floor
 from gsvis.stream import StreamedScene
@@ -71,7 +73,7 @@ def test_a_package_without_sets_says_what_it_can(plain: Path) -> None:
         shown = {"Authorization": "Bearer s3cret"}
         found = json.loads(ask(server, "/scenes/plain/why/3", **shown)[2])
         assert (found["gaussian"], found["cells"], found["directions"]) == (3, None, None)
-        for fact in ("floor", "seen"):
+        for fact in ("floor", "seen", "walk"):
             assert json.loads(ask(server, f"/scenes/plain/{fact}", **shown)[2]) is None
         for path in ("/scenes/none/why/3", "/scenes/plain/scene.json", "/scenes/plain/records.bin", "/scenes/plain/x"):
             assert ask(server, path, **shown)[0] == 404
@@ -87,6 +89,17 @@ def test_a_damaged_store_is_said(celled: Path, monkeypatch: pytest.MonkeyPatch) 
     with serving(celled) as server:
         assert ask(server, "/scenes/celled/why/3")[0] == 500
         assert server.metrics.scenes.faults.value("celled") == 1
+
+
+def test_a_walker_stands_in_the_cells_of_a_package(celled: Path) -> None:
+    with serving(celled) as server, Package.open(celled) as package:
+        packed = base64.b64decode(json.loads(ask(server, "/scenes/celled/walk")[2])["packed"])
+        said = json.loads(zlib.decompress(packed).partition(b"\n")[0])
+        meters = package.manifest.info.meters_per_unit
+        walk = find_walk(package.contents.gaussians(), package.visibility.grid, meters)
+        assert walk is not None
+        assert said["shape"] == list(walk.open.shape)
+        assert np.allclose(said["axes"][2], package.visibility.grid.up)
 
 
 def test_a_floor_lies_where_cells_are(celled: Path) -> None:
@@ -120,7 +133,7 @@ def test_the_lowest_run_of_cells_is_found() -> None:
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0), (0.6, 0.0, 0.8), (1, 1, 1)])
 def test_level_axes_are_across(up: tuple[float, float, float]) -> None:
     axis = np.array(up, float) / np.linalg.norm(up)
-    frame = np.stack([*_level_axes(axis), axis])
+    frame = np.stack([*level_axes(axis), axis])
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(frame) == pytest.approx(1.0)
 

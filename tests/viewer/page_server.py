@@ -66,6 +66,7 @@ def make_facts() -> dict[str, Any]:
             "origin": [0, 0, 0], "side": 1.0, "first": [1, 0, 0], "second": [0, 1, 0], "up": [0, 0, 1],
             "columns": 6, "rows": 4, "heights": heights,
         },
+        "walk": None,
         "why/52110": {"cells": {"of": 23, "size": 1.0, "seeing": seeing}, "directions": {"of": 80, "seen": seen}},
     }  # fmt: skip
 

@@ -89,6 +89,25 @@ def test_a_site_of_a_package_knows_its_cells_and_floor_without_a_server(browser:
                 assert said == []
 
 
+def test_a_site_fetches_its_walls_when_somebody_walks_one_file_holds_them(browser: Any, tmp_path: Path) -> None:
+    viewer = viewer_files()
+    rooms = two_rooms(4000, sh_degree=0)
+    options = StaticOptions(space=rooms.navigable)
+    made = write_site(tmp_path / "site", rooms.gaussians, options, viewer=viewer)
+    write_html(tmp_path / "rooms.html", rooms.gaussians, options, viewer=viewer)
+    walls = made.scene.files["walk"].name
+    with served(tmp_path / "site") as address, page_in(browser, address + "/index.html") as (page, said):
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        wait_for(page, ARRIVED)
+        assert not [url for url in asked if walls in url]
+        with page.expect_response(lambda response: walls in response.url, timeout=1000 * PATIENCE):
+            page.get_by_text("Walk", exact=True).click()
+        assert said == []
+    held = (tmp_path / "rooms.html").read_text(encoding="utf-8")
+    assert f'data-name="{walls}"' in held
+
+
 def test_one_file_opens_from_disk(browser: Any, scene: Gaussians, tmp_path: Path) -> None:
     viewer = viewer_files()
     write_html(tmp_path / "rooms.html", scene, viewer=viewer)
@@ -96,5 +115,7 @@ def test_one_file_opens_from_disk(browser: Any, scene: Gaussians, tmp_path: Path
     with page_in(browser, (tmp_path / "rooms.html").as_uri()) as (page, said):
         page.on("request", lambda request: asked.append(request.url))
         wait_for(page, ARRIVED)
+        page.get_by_text("Walk", exact=True).click()
+        wait_for(page, "Nothing is known of walls here.")
         assert said == []
     assert [url for url in asked if not url.startswith(("blob:", "data:"))] == []

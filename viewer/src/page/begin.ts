@@ -43,8 +43,8 @@ export function fovOf({ fov, longer }: Pick<View, "fov" | "longer">): number {
 
 /** Return views that the scene proposes as people write them. */
 export function viewsFromPoses(poses: readonly StartPose[]): View[] {
-  return poses.map(({ position, rotation }) => {
-    const ahead = scale(rotate(rotation, [0, 0, 1]), REACH);
+  return poses.map(({ position, rotation, reach }) => {
+    const ahead = scale(rotate(rotation, [0, 0, 1]), reach ?? REACH);
     return { eye: position, to: add(position, ahead), fov: NORMAL_FOV / DEGREES };
   });
 }
@@ -64,7 +64,7 @@ export function begin(hash: string, views: readonly View[], frame: Frame, around
   const outside = cells ? surroundedBy(cells, frame) !== null : !floor;
   const proposed = cells || floor ? null : (around.poses[0]?.mode ?? null);
   const mode: Mode = proposed ?? (outside ? "orbit" : floor ? "walk" : "fly");
-  const focused = views.length > 0 || (cells !== null && outside);
+  const focused = views.length > 0 || (around.poses[0] ? around.poses[0].reach !== undefined : cells !== null && outside);
   const view = views[0] ?? { fov: NORMAL_FOV / DEGREES };
   const first = { rig: firstRig(views, frame, around), view, mode, focused, problem: null };
   if (asked instanceof Error) return { ...first, problem: BAD_HASH };
@@ -87,7 +87,7 @@ function firstRig(views: readonly View[], frame: Frame, { floor, cells, poses }:
 
 /** Return a view that the scene proposes, or one from a good place in it. */
 function rigWithin(frame: Frame, { floor, cells, poses }: Surroundings): Rig {
-  if (poses.length) return rigFromPose(poses[0].position, poses[0].rotation, frame, REACH);
+  if (poses.length) return rigFromPose(poses[0].position, poses[0].rotation, frame, poses[0].reach ?? REACH);
   const center = cells && surroundedBy(cells, frame);
   const inside = cells && startInCells(cells, frame);
   if (center && inside) return rigFromTarget(inside.eye, center, frame, NORMAL_FOV);

@@ -7,10 +7,13 @@ import type { Floor } from "./ground.ts";
 import { fields, isPositive, list, numbers, vector } from "./json.ts";
 import { normalize } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
+import { readWalk } from "./walk.ts";
+import type { WalkGrid } from "./walk.ts";
 
-/** A view that a scene proposes, and how to move from there, if that is known. */
+/** A view that a scene proposes, and if that is known how to move from there, and how far away is what it looks at. */
 export interface StartPose extends Pose {
   mode?: "orbit" | "fly";
+  reach?: number;
 }
 
 export interface Cells {
@@ -69,6 +72,18 @@ export class Facts {
     }
   }
 
+  /** Where a walker can be; null where that is not known. */
+  async walk(): Promise<WalkGrid | null> {
+    try {
+      const said = await this.#ask("walk"); // the address of a file, or its bytes
+      const packed = typeof said === "string" ? await fetch(said) : new Response(readBytes(fields(said)?.packed));
+      const plain = packed.body!.pipeThrough(new DecompressionStream("deflate"));
+      return readWalk(new Uint8Array(await new Response(plain).arrayBuffer()));
+    } catch {
+      return null;
+    }
+  }
+
   async why(id: number): Promise<Why | null> {
     return readWhy(await this.#ask(`why/${id}`));
   }
@@ -118,7 +133,10 @@ export function readPoses(json: unknown): StartPose[] {
     const it = fields(each), position = vector(it?.position);
     const rotation = numbers(it?.rotation, 4) as Pose["rotation"] | null;
     if (!it || !position || !rotation) return [];
-    return [{ position, rotation, ...(it.mode === "orbit" || it.mode === "fly" ? { mode: it.mode } : {}) }];
+    return [{
+      position, rotation, ...(it.mode === "orbit" || it.mode === "fly" ? { mode: it.mode } : {}),
+      ...(isPositive(it.reach) ? { reach: it.reach } : {}),
+    }];
   });
 }
 
@@ -145,7 +163,7 @@ function readSight(json: unknown): Sight | null {
   return { cell: it.cell, weight: numbers(it.weight, 2) as [number, number] | null };
 }
 
-function readBytes(base64: unknown): Uint8Array {
+function readBytes(base64: unknown): Uint8Array<ArrayBuffer> {
   return Uint8Array.from(atob(String(base64)), (letter) => letter.charCodeAt(0));
 }
 

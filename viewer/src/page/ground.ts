@@ -1,4 +1,4 @@
-// Where a walker can be: on a plane when nothing is known, or over the free floor that a server sends.
+// Where a walker can be while walls are not known (walk.ts): on a plane, or over the floor of cells.
 
 import { add, clamp, dot, scale, subtract } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
@@ -8,6 +8,12 @@ export interface Ground {
   step(from: Vec3, to: Vec3): Vec3;
   /** Return the nearest eye position at which a walker can stand. */
   nearest(eye: Vec3): Vec3;
+  /** Return where a walker ends up that goes straight, until something is in the way. */
+  straight?(from: Vec3, to: Vec3): Vec3;
+  /** Return the eye after some seconds of falling; the same one on the ground. */
+  fall?(eye: Vec3, seconds: number): Vec3;
+  /** Height of the eye above the ground, scene units. */
+  readonly eye?: number;
 }
 
 /** Keep the height at which walking began: nothing is known of the ground. */
@@ -36,7 +42,7 @@ export interface Floor {
 }
 
 /** Return `x` if it lies in a square, else the nearest place well inside. */
-const inside = (x: number, square: number): number => (x >= square && x < square + 1 ? x : clamp(
+export const inside = (x: number, square: number): number => (x >= square && x < square + 1 ? x : clamp(
   x, square + 0.01, square + 0.99,
 ));
 

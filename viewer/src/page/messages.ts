@@ -35,6 +35,7 @@ export const LOST_CONTEXT = "The graphics card has taken the picture back. It is
 export const BAD_HASH = "The view in the address could not be read. You are at the first view.";
 export const NOTHING = "Nothing of the scene can be seen from here. Key R leads to the first view.";
 export const NOT_SERVED = "Only a server knows where a Gaussian is seen from.";
+export const NO_WALLS = "Nothing is known of walls here. You walk freely.";
 export const FAR_HASH = "The view in the address lies outside of the scene. You are at the first view.";
 
 /** Return what to say when a source has given up. */

@@ -6,7 +6,7 @@ import type { Ground } from "./ground.ts";
 import { alike, approach, aroundBetween, between, look, orbit, pivot, rigFromTarget, slide, walk } from "./rig.ts";
 import { LEAST_FOV, MOST_FOV } from "./rig.ts";
 import type { Rig } from "./rig.ts";
-import { add, clamp, distance, mix, scale } from "./vector.ts";
+import { add, clamp, distance, dot, length, mix, scale, subtract } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
 
 export type Mode = "orbit" | "fly" | "walk";
@@ -28,6 +28,7 @@ const SETTLE = 0.07; // seconds in which a view comes 63% nearer to where it is 
 const TURN_SPEED = 1.6; // radians a second
 const FLIGHT = 0.9; // seconds from view to view
 const METERS_A_SECOND = { orbit: 2.0, fly: 2.5, walk: 1.6 };
+const EYE_M = 1.6; // height of a walker's eye that walks at that speed
 const FAST = 3;
 
 export class Navigator {
@@ -41,6 +42,7 @@ export class Navigator {
   track: ((seconds: number) => Rig | null) | null = null; // leads the view, by seconds since the last one, until it ends
   #flight: { from: Rig; to: Rig; spent: number } | null = null;
   #ground: Ground;
+  #speed: Vec3 = [0, 0, 0]; // of a walker, scene units a second
 
   constructor(frame: Frame, rig: Rig, meter = 1) {
     this.frame = frame;
@@ -56,7 +58,7 @@ export class Navigator {
 
   /** Stand there at once. */
   place(rig: Rig): void {
-    this.#flight = this.track = null;
+    this.#rest();
     this.#wanted = this.mode === "walk" ? this.#standing(rig) : rig;
     this.shown = this.#wanted;
   }
@@ -65,7 +67,7 @@ export class Navigator {
   flyTo(rig: Rig): void {
     const to = this.mode === "walk" ? this.#standing(rig) : rig;
     if (this.calm) return this.place(to);
-    this.track = null;
+    this.#rest();
     this.#flight = { from: this.shown, to, spent: 0 };
     this.#wanted = to;
   }
@@ -76,7 +78,7 @@ export class Navigator {
     this.shown = again(this.shown);
     this.#wanted = again(this.#wanted);
     this.frame = frame;
-    this.#flight = null;
+    this.#rest();
     this.#ground = new LevelGround(frame);
   }
 
@@ -94,9 +96,9 @@ export class Navigator {
     else this.shown = { ...this.shown, reach };
   }
 
-  /** Whether a walker can stand there, give or take half a meter. */
+  /** Whether a walker can stand there, give or take half a meter or the half of its height. */
   canStandAt(eye: Vec3): boolean {
-    return distance(this.#ground.nearest(eye), eye) < 0.5 * this.meter;
+    return distance(this.#ground.nearest(eye), eye) < 0.5 * (this.#ground.eye ?? this.meter);
   }
 
   setMode(mode: Mode): void {
@@ -145,23 +147,34 @@ export class Navigator {
     } else {
       const share = Math.max(0, 1 - (this.mode === "walk" ? 0.6 : 1) * this.meter / Math.max(away, 1e-9));
       const eye = mix(rig.eye, point, share);
-      this.flyTo({ ...rig, eye: this.mode === "walk" ? this.#ground.step(rig.eye, eye) : eye });
+      const ground = this.#ground;
+      const reached = (ground.straight ?? ground.step).call(ground, rig.eye, eye);
+      this.flyTo({ ...rig, eye: this.mode === "walk" ? reached : eye });
     }
   }
 
   /** Advance by seconds; return whether the view has changed. */
   step(seconds: number, held: Held = NOTHING_HELD): boolean {
     const before = this.shown;
+    let wish: Vec3 = [0, 0, 0];
     const still = held.ahead === 0 && held.aside === 0 && held.above === 0 && held.turn === 0 && held.tilt === 0;
-    if (!still) this.#hold(seconds, held);
+    if (!still) wish = this.#hold(seconds, held);
     const led = this.track?.(seconds);
     if (led) this.shown = this.#wanted = led;
     else {
       this.track = null;
       if (this.#flight) this.#fly(this.#flight, seconds);
-      else this.#settle(seconds);
+      else {
+        if (this.mode === "walk") this.#walk(seconds, wish);
+        this.#settle(seconds);
+      }
     }
-    return this.shown !== before;
+    return this.shown !== before || length(this.#speed) > 0; // the first frame may take no time
+  }
+
+  #rest(): void {
+    this.#flight = this.track = null;
+    this.#speed = [0, 0, 0];
   }
 
   #take(): void {
@@ -169,28 +182,48 @@ export class Navigator {
     this.#flight = this.track = null;
   }
 
-  #hold(seconds: number, held: Held): void {
+  /** Turn and move as the keys say; return the speed that a walker wants. */
+  #hold(seconds: number, held: Held): Vec3 {
     this.#take();
-    const turn = TURN_SPEED * seconds;
-    if (this.mode === "orbit") this.#wanted = orbit(this.#wanted, this.frame, -held.turn * turn, -held.tilt * turn);
+    const { mode, frame } = this, turn = TURN_SPEED * seconds;
+    if (mode === "orbit") this.#wanted = orbit(this.#wanted, frame, -held.turn * turn, -held.tilt * turn);
     else this.#wanted = look(this.#wanted, held.turn * turn, held.tilt * turn);
-    const fit = this.mode === "orbit"
-      ? Math.max(0.3 * this.#wanted.reach, 0.2 * this.meter)
-      : METERS_A_SECOND[this.mode] * this.meter;
-    const way = fit * this.pace * seconds * (held.fast ? FAST : 1);
-    if (held.ahead === 0 && held.aside === 0 && held.above === 0) return;
-    const size = Math.max(1, Math.hypot(held.ahead, held.aside));
-    const [aside, above, ahead] = [(held.aside * way) / size, held.above * way, (held.ahead * way) / size];
-    if (this.mode === "fly") {
-      const moved = slide(this.#wanted, this.frame, aside, 0, ahead);
-      this.#go({ ...moved, eye: add(moved.eye, scale(this.frame.up, above)) });
-    } else {
-      this.#go(walk(this.#wanted, this.frame, aside, this.mode === "walk" ? 0 : above, ahead));
+    const meter = mode === "walk" && this.#ground.eye ? this.#ground.eye / EYE_M : this.meter;
+    const fit = mode === "orbit" ? Math.max(0.3 * this.#wanted.reach, 0.2 * meter) : METERS_A_SECOND[mode] * meter;
+    const speed = fit * this.pace * (held.fast ? FAST : 1), size = Math.max(1, Math.hypot(held.ahead, held.aside));
+    const [aside, ahead] = [(held.aside * speed) / size, (held.ahead * speed) / size], above = held.above * speed;
+    const rig = this.#wanted;
+    if (mode === "walk") return subtract(walk(rig, frame, aside, 0, ahead).eye, rig.eye);
+    if (mode === "orbit") this.#wanted = walk(rig, frame, aside * seconds, above * seconds, ahead * seconds);
+    else {
+      const moved = slide(rig, frame, aside * seconds, 0, ahead * seconds);
+      this.#wanted = { ...moved, eye: add(moved.eye, scale(frame.up, above * seconds)) };
     }
+    return [0, 0, 0];
   }
 
+  /** Move there; a walker gets the speed that brings it there. */
   #go(moved: Rig): void {
-    this.#wanted = this.mode === "walk" ? { ...moved, eye: this.#ground.step(this.#wanted.eye, moved.eye) } : moved;
+    if (this.mode !== "walk") this.#wanted = moved;
+    else this.#speed = add(this.#speed, scale(subtract(moved.eye, this.#wanted.eye), 1 / SETTLE));
+  }
+
+  /** Let a walker come nearer to the wanted speed, go on, and fall; what it shows never lags behind it, but upwards. */
+  #walk(seconds: number, wish: Vec3): void {
+    const { eye } = this.#wanted, share = 1 - Math.exp(-seconds / SETTLE);
+    let change = subtract(this.#speed, wish), way = add(scale(wish, seconds), scale(change, SETTLE * share));
+    change = scale(change, 1 - share);
+    if (length(wish) === 0 && length(change) * SETTLE < 1e-5 * this.#wanted.reach) {
+      way = add(way, scale(change, SETTLE)); // the rest of it
+      change = [0, 0, 0];
+    }
+    this.#speed = add(wish, change);
+    let next = length(way) > 0 ? this.#ground.step(eye, add(eye, way)) : eye;
+    next = this.#ground.fall?.(next, seconds) ?? next;
+    if (next === eye) return;
+    this.#wanted = { ...this.#wanted, eye: next };
+    const lag = Math.min(0, dot(subtract(this.shown.eye, next), this.frame.up));
+    this.shown = { ...this.shown, eye: add(next, scale(this.frame.up, lag)) };
   }
 
   #standing(rig: Rig): Rig {

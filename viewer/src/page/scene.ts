@@ -56,16 +56,19 @@ export function factsOf(scene: SceneAddress): Facts {
   return new Facts(scene.root && new URL(`scenes/${encodeURIComponent(scene.name)}/`, scene.root).href);
 }
 
-/** Return what a server would answer, of a static scene: `cells`, with its views, and `floor`. */
+/** Return what a server would answer, of a static scene: `cells`, with its views, `floor`, and the address of `walk`. */
 async function readFiles(url: string): Promise<unknown> {
   const at = (name: string): string => url === "inline:"
     ? `data:;base64,${document.querySelector(`script[data-name="${name}"]`)?.textContent}`
     : new URL(name, url.replace(/(\/[^/]*\.json)?\/?$/, "/")).href;
-  const said = fields(await ask(at("scene.json"))), file = fields(fields(said?.files)?.facts);
+  const said = fields(await ask(at("scene.json"))), files = fields(said?.files);
+  const file = fields(files?.facts), walk = fields(files?.walk);
   const facts = file && fields(await fetch(at(String(file.name))).then(
     ({ body }) => new Response(body!.pipeThrough(new DecompressionStream("deflate"))).json(),
   ).catch(() => null));
-  return { ...facts, cells: { ...fields(facts?.cells), views: said?.poses } };
+  return {
+    ...facts, cells: { ...fields(facts?.cells), views: said?.poses }, walk: walk && at(String(walk.name)),
+  };
 }
 
 /**

@@ -18,7 +18,7 @@ import { Help } from "./help.ts";
 import { Inspector } from "./inspector.ts";
 import { colorOf } from "./format.ts";
 import { copyLink, offersWebGL, savePicture, toggleFull } from "./keep.ts";
-import { BAD_HASH, describeState, explainFailure, LOST_CONTEXT, NO_ANSWER, NOTHING, NO_WEBGL } from "./messages.ts";
+import { BAD_HASH, describeState, explainFailure, LOST_CONTEXT, NO_ANSWER, NOTHING, NO_WALLS, NO_WEBGL } from "./messages.ts";
 import { MODES } from "./navigator.ts";
 import type { Mode, Navigator } from "./navigator.ts";
 import { Notices } from "./notice.ts";
@@ -38,6 +38,7 @@ import type { Tour } from "./tour.ts";
 import { frameFromUp } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
 import type { PageCamera, ViewerLike, ViewerOptions } from "./viewer-like.ts";
+import { WalkGround } from "./walk.ts";
 import { Immersion } from "./xr.ts";
 
 export interface Core {
@@ -75,6 +76,7 @@ export class ViewPage {
   readonly #up: Vec3 | null = readUp(location.hash);
   #lens: { view: Pick<View, "fov" | "longer">; fovY: number } | null = null; // of the last view that was gone to
   readonly #followers: ((resting: boolean) => void)[] = [];
+  #walls: Facts | null = null; // asked for walls
   #token: string | null;
 
   readonly #actions = new Actions();
@@ -102,7 +104,7 @@ export class ViewPage {
       { retry: () => this.#restart(), token: (token) => this.#enter(token) },
     );
     this.#drive = new Drive({
-      actions: this.#actions, moved: () => this.#sendCamera(),
+      actions: this.#actions, moved: () => (this.#sendCamera(), void this.#learnWalls()),
       rested: () => (this.#panel.refresh(), this.#actions.changed(), this.#writeAddress(), this.#lead(true)),
       click: (x, y, withAlt) => void (this.#inspector.on || (withAlt && !this.page.visitor) ? this.#inspector.inspect(x, y) : undefined),
       doubleClick: (x, y) => void this.#goTo(x, y), view: (index) => this.#goToView(index),
@@ -273,7 +275,7 @@ export class ViewPage {
     await this.#ready;
     // connected again: all stays as it is
     if (this.#source !== source || this.#header?.identity === header.identity) return;
-    this.#header = header;
+    [this.#header, this.#walls] = [header, null];
     const navigator = this.#navigator, surroundings = this.#surroundings;
     navigator.reframe(frameFromUp(this.#up ?? header.up));
     navigator.meter = guessMeter(header, surroundings.cells);
@@ -452,8 +454,10 @@ export class ViewPage {
   }
 
   #setMode(mode: Mode): void {
-    if (mode === "orbit" && this.#navigator.mode !== "orbit") this.#focused = false;
+    const chosen = mode !== this.#navigator.mode;
+    if (mode === "orbit" && chosen) this.#focused = false;
     this.#navigator.setMode(mode);
+    if (chosen) void this.#learnWalls();
     document.documentElement.dataset.mode = mode;
     this.#speak(`Way to move: ${mode}`);
     if (this.#placed) {
@@ -461,6 +465,18 @@ export class ViewPage {
       this.#writeAddress();
     }
     this.#dock.refresh();
+    this.#drive.wake();
+  }
+
+  /** Let a walker stop at walls; of scenes without any floor say that nothing is known of them. */
+  async #learnWalls(): Promise<void> {
+    const facts = this.#facts;
+    if (this.#navigator.mode !== "walk" || !this.#placed || this.#walls === facts) return;
+    this.#walls = facts;
+    const grid = await facts.walk();
+    if (this.#walls !== facts) return;
+    if (grid) this.#navigator.standOn(new WalkGround(grid));
+    else if (!this.#surroundings.floor) this.#notices.say(NO_WALLS);
     this.#drive.wake();
   }
 
