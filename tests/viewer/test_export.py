@@ -95,7 +95,7 @@ def test_a_site_fetches_its_walls_when_somebody_walks_one_file_holds_them(browse
     options = StaticOptions(space=rooms.navigable)
     made = write_site(tmp_path / "site", rooms.gaussians, options, viewer=viewer)
     write_html(tmp_path / "rooms.html", rooms.gaussians, options, viewer=viewer)
-    walls = made.scene.files["walk"].name
+    (walls,) = made.scene.files["walk"].names
     with served(tmp_path / "site") as address, page_in(browser, address + "/index.html") as (page, said):
         asked: list[str] = []
         page.on("request", lambda request: asked.append(request.url))
