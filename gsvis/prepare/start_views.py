@@ -97,7 +97,7 @@ def _pivot_distances(scene: Gaussians, space: NavigableSpace, cameras: Cameras) 
     eyes = cameras.viewpoints
     low, high = _subject(scene)
     to_middle = np.einsum("ci,ci->c", 0.5 * (low + high) - eyes, cameras.forwards)
-    distances = np.maximum(to_middle, 0.1 * float((high - low).max()))
+    distances = np.asarray(np.maximum(to_middle, 0.1 * float((high - low).max())), np.float64)
     if shows_object(scene, space):
         return distances
     ahead = space.free_distances(eyes, cameras.forwards)
