@@ -87,8 +87,8 @@ def run_export(command: Export) -> None:
     show(f"{command.out}: {made.gaussians:,} Gaussians, {_detail(made.terms, made.cells)}, {size_of(found.nbytes)}")
     show(*remarks)
     if command.format == "static":
-        show("Put it on any file server that answers ranges of bytes (docs/how-to/publish.md).")
-        show(f"To look at it here: python -m http.server -d {command.out} (has no ranges: whole files are fetched)")
+        show("Put it on any file server (docs/how-to/publish.md).")
+        show(f"To look at it here: python -m http.server -d {command.out}")
 
 
 def _check_options(command: Export) -> HeadPath | None:

@@ -1,4 +1,4 @@
-"""Static scenes: the files that `gsvis export --format static` writes, served in ranges as any file server does.
+"""Static scenes: the files that `gsvis export --format static` writes, served as any file server does.
 
 `gsvis view` shows a bare scene in this form. Clients can request only the files that `scene.json` names; no text of a
 client becomes a path.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import os
 import re
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -25,8 +25,9 @@ from gsvis.serve.parts import part_of
 __all__ = ["SCENE", "Site", "is_site"]
 
 _MOST_JSON = 64 << 20
+_MOST_FILES = 1 << 20  # of one kind
 _PIECE = 256 << 10  # bytes read and sent at a time
-_HASHED = re.compile(r"-[0-9a-f]{16}\.bin$")  # such a file never changes
+_HASHED = re.compile(r"-[0-9a-f]{16}(?:-\d+)?\.bin$")  # such a file never changes
 _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
 
 
@@ -119,7 +120,14 @@ async def _pieces(source: BinaryIO, start: int, stop: int) -> AsyncIterator[byte
             yield data
 
 
-def _names(files: Any) -> list[str]:
-    """Return the names of the files in `scene.json`, by what they hold."""
-    rows = files.values() if isinstance(files, dict) else ()
-    return [str(row["name"]) for row in rows if isinstance(row, dict) and "name" in row]
+def _names(files: Any) -> Iterator[str]:
+    """Yield the names of the files in `scene.json`; files of one kind are numbered."""
+    for row in files.values() if isinstance(files, dict) else ():
+        if not isinstance(row, dict) or "name" not in row:
+            continue
+        name = str(row["name"])
+        count = row.get("count")
+        if name.endswith(".bin") or type(count) is not int:
+            yield name
+        else:
+            yield from (f"{name}-{k}.bin" for k in range(min(count, _MOST_FILES)))

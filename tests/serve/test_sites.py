@@ -23,6 +23,9 @@ def site(tmp_path: Path) -> Path:
     folder.mkdir()
     names = ["records.bin", "linked.bin", "../secret.bin", "absent.bin"]
     files = {str(k): {"name": name, "bytes": len(RECORDS)} for k, name in enumerate(names)}
+    files["part"] = {"name": "part-0123456789abcdef", "bytes": 2, "count": 2}
+    (folder / "part-0123456789abcdef-1.bin").write_bytes(b"22")
+    (folder / "part-0123456789abcdef-2.bin").write_bytes(b"beyond")
     about = {"format": "gsvis-static", "version": 1, "gaussians": 65536, "files": files}
     (folder / "scene.json").write_text(json.dumps(about))
     (folder / "records.bin").write_bytes(RECORDS)
@@ -60,6 +63,10 @@ def test_files_are_served_in_ranges(site: Path, plain: Path) -> None:
 
 def test_only_named_files_are_served(site: Path) -> None:
     with serving(site) as server:
+        status, fields, body = ask(server, "/scenes/room/part-0123456789abcdef-1.bin")
+        assert (status, body) == (200, b"22")
+        assert "immutable" in fields["cache-control"]
+        assert ask(server, "/scenes/room/part-0123456789abcdef-2.bin")[0] == 404
         for name in ("unnamed.bin", "absent.bin", "..%2fsecret.bin", "../secret.bin", "%2e%2e%2fsecret.bin"):
             assert ask(server, f"/scenes/room/{name}")[0] == 404
         status, _, body = ask(server, "/scenes/room/linked.bin")
