@@ -278,13 +278,6 @@ SECTIONS = (
                 target="≤ 720, 600; 120, 120, 60 s (the last on 4 cores)",
                 verdict="missed",
             ),
-            Row(
-                "How much faster is one look with a second thread?",
-                ("look: a look: one thread over two",),
-                ours="{0:.2f} times, 1.08 beside other work",
-                target="≥ 1.7 times with two threads",
-                verdict="reached on a quiet machine",
-            ),
         ),
     ),
     Section(
