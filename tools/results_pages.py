@@ -120,6 +120,7 @@ PAGES = {
             "color_activation",
             "color_figure15",
             "train_srbf",
+            "learned_colors",
             "train_srbf_spaces",
         ),
     ),
