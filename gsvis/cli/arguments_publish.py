@@ -198,7 +198,7 @@ class Presented:
     """A settings.json of SuperSplat or of this page: views, hotspots, camera paths, background."""
     poster: Annotated[str | None, hint("none", "FILE")] = None
     """A picture that is shown until the scene is drawn."""
-    background: Annotated[str | None, hint("of the settings or theme", "COLOR")] = None
+    backdrop: Annotated[str | None, hint("of the settings or theme", "COLOR")] = None
     """Color behind the scene, such as #20242c."""
     og_image: Annotated[str | None, hint("none", "FILE")] = None
     """A picture for previews in other pages, a file or an address; some of those pages need the address."""

@@ -66,7 +66,7 @@ GROUPS: dict[str, tuple[tuple[str, str], ...]] = {
 FIRST: dict[str, tuple[str, ...]] = {
     "inspect": ("lod", "histograms", "cameras", "box", "around", "path", "json", "drop_invalid"),
     "analyze": ("out", "cameras", "views", "width", "height", "lod", "box", "around", "path", "json"),
-    "render": ("out", "cameras", "orbit", "eye", "target", "view", "up", "width", "height", "fov", "lod"),
+    "render": ("out", "cameras", "orbit", "eye", "target", "up", "width", "height", "fov", "lod"),
     "pvs": ("out", "cells", "cameras", "up", "box", "around", "path", "lod", "workers", "dry_run"),
     "pvs-report": ("out", "cells", "eyes", "dense", "certify", "raycast", "width", "height", "lod", "json"),
     "color": ("out", "pvs", "variant", "mean_terms", "epsilon", "report", "active", "lod", "up", "json"),

@@ -39,7 +39,7 @@ class PageOptions:
         title: Title of the page and of its preview in other pages; None takes the name of the scene.
         settings: A `settings.json` of SuperSplat or of this page: views, hotspots, paths, background.
         poster: A picture that is shown until the scene is drawn.
-        background: Color behind the scene, such as "#20242c"; None takes that of the settings or of the theme.
+        backdrop: Color behind the scene, such as "#20242c"; None takes that of the settings or of the theme.
         og_image: A picture for previews in other pages: a file, or the address of one.
         accent: Color of the controls, such as "#d4380d"; made lighter or darker until text in it can be read.
         visitor: Leave out what is for engineers: Inspect, counts, levels, cells.
@@ -49,7 +49,7 @@ class PageOptions:
     title: str | None = None
     settings: Path_ | None = None
     poster: Path_ | None = None
-    background: str | None = None
+    backdrop: str | None = None
     og_image: Path_ | None = None
     accent: str | None = None
     visitor: bool = False
@@ -59,7 +59,7 @@ class PageOptions:
         """Return what the page reads of this, by the names of `meta` elements."""
         found = {
             "gsvis-title": self.title,
-            "gsvis-background": self.background,
+            "gsvis-background": self.backdrop,
             "gsvis-accent": None if self.accent is None else " ".join(accents(self.accent)),
             "gsvis-visitor": "true" if self.visitor else None,
             "gsvis-embedders": " ".join(self.embedders),
@@ -109,7 +109,7 @@ def check_page(page: PageOptions) -> None:
         FormatError: If the settings are none.
         OSError: If a file cannot be read.
     """
-    for name, color in (("--background", page.background), ("--accent", page.accent)):
+    for name, color in (("--backdrop", page.backdrop), ("--accent", page.accent)):
         if color is not None and not _COLOR.fullmatch(color):
             raise ValueError(f"{name}: expected a color such as #20242c, got {color[:100]!r}")
     for name, path in (("--poster", page.poster), ("--og-image", page.og_image)):

@@ -45,7 +45,7 @@ def test_a_site_holds_what_its_publisher_chose(tmp_path: Path) -> None:
     (tmp_path / "s.json").write_text(json.dumps(SUPERSPLAT))
     (tmp_path / "p.JPG").write_bytes(b"jpeg")
     page = PageOptions(
-        title='A "house" & more', settings=tmp_path / "s.json", poster=tmp_path / "p.JPG", background="#102030",
+        title='A "house" & more', settings=tmp_path / "s.json", poster=tmp_path / "p.JPG", backdrop="#102030",
         og_image="https://example.org/p.png", visitor=True, embedders=("https://blog.example",),
     )  # fmt: skip
     found = write_site(tmp_path / "site", SCENE, page=page)
@@ -75,7 +75,7 @@ def test_one_file_holds_its_poster_and_settings_itself(tmp_path: Path) -> None:
 
 def test_options_of_a_page_that_make_no_sense_are_refused(tmp_path: Path) -> None:
     (tmp_path / "p.gif").write_bytes(b"gif")
-    for bad in ({"background": "blue"}, {"accent": "#12"}, {"poster": tmp_path / "p.gif"}):
+    for bad in ({"backdrop": "blue"}, {"accent": "#12"}, {"poster": tmp_path / "p.gif"}):
         with pytest.raises(ValueError, match="expected"):
             check_page(PageOptions(**bad))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="embedders"):

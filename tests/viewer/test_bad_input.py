@@ -162,7 +162,7 @@ def test_a_part_that_is_gone_or_cut_is_named_and_the_rest_is_drawn(browser: Any,
     viewer, _ = viewer_files(), chromium()
     with package_of(tmp_path / "s.gsvis", 800) as package:
         made = write_site(tmp_path / "site", package, viewer=viewer)
-    part = made.scene.path / made.scene.files["terms"].name
+    part = made.scene.path / made.scene.files["terms"].names[0]
     if harm == "missing":
         part.unlink()
     else:
