@@ -291,7 +291,7 @@ class Learning:
     """What the fitted colors learn from."""
 
     photos: Annotated[str | None, hint("none", "DIR")] = None
-    """Photographs to learn colors from, with the COLMAP model or transforms.json that SCENE was trained from."""
+    """Photographs to train colors on, with the COLMAP model or transforms.json that SCENE was trained from."""
     downscale: Annotated[float | None, readers.FACTOR, hint("1")] = None
     """Shrink the photographs by this factor."""
     color_steps: Annotated[int | None, readers.WHOLE, hint("300 with --photos, else 0")] = None

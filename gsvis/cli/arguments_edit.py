@@ -25,7 +25,7 @@ class Photographs:
     height: Annotated[int | None, readers.PIXELS, hint("theirs")] = None
     """Pixels down the photographs; with --width."""
     downscale: Annotated[float | None, readers.FACTOR, hint("1")] = None
-    """Shrink the photographs by this factor instead."""
+    """Shrink the photographs by this factor."""
 
 
 @dataclass(frozen=True, kw_only=True)
