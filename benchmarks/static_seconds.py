@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -74,8 +75,12 @@ def address(pose: dict[str, Any]) -> str:
     """The part of an address behind # for a pose."""
     turn = rotations_from_quats(np.array([pose["rotation"]]))[0]
     to = np.array(pose["position"]) + 2.0 * turn[:, 2]
-    spell = lambda v: ",".join(f"{x:.6f}" for x in v)  # noqa: E731
     return f"#eye={spell(pose['position'])}&to={spell(to)}&fov=65&mode=fly"
+
+
+def spell(point: Iterable[float]) -> str:
+    """A point as an address holds it."""
+    return ",".join(f"{x:.6f}" for x in point)
 
 
 def visit(browser: Any, host: Host, eye: Eye, at: str, ids: np.ndarray, contents: Any) -> dict[str, Any]:

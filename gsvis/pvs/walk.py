@@ -109,8 +109,8 @@ def find_walk(g: Gaussians, cells: Cells, meters_per_unit: float = 0.0) -> WalkG
     solid = _with_ground(np.asarray(density.depth >= _SOLID), inside, eye / size)
     step = max(1, int(np.ceil(_STEP * eye / size)))
     fits = _where_body_fits(solid, eye / size) & footprint[:, :, None]
-    seen = _shifted(_reaching(inside, round(_SPARE * eye / size)), round(eye / size))
-    places = _walked(fits, seen, step)
+    seen = _shift(_extend_vertically(inside, round(_SPARE * eye / size)), round(eye / size))
+    places = _find_usable(fits, seen, step)
     if not places.any():
         return None
     x, y, z = (slice(int(found.min()), int(found.max()) + 1) for found in np.nonzero(places))
@@ -200,7 +200,7 @@ def _any_within(solid: Mask, height: int) -> Mask:
     return np.asarray(counts[:, :, height:][:, :, : solid.shape[2]] > counts[:, :, : solid.shape[2]])
 
 
-def _walked(fits: Mask, seen: Mask, step: int) -> Mask:
+def _find_usable(fits: Mask, seen: Mask, step: int) -> Mask:
     """Return the voxels of feet (X, Y, Z) that a walker can use: in parts that are large, and at their edges.
 
     Args:
@@ -210,14 +210,14 @@ def _walked(fits: Mask, seen: Mask, step: int) -> Mask:
     """
     from scipy import ndimage
 
-    standing = fits & ~_shifted(fits, -1) & seen
-    near = _rising(standing, fits, step)
+    standing = fits & ~_shift(fits, -1) & seen
+    near = _extend_up(standing, fits, step)
     labels, count = ndimage.label(near)
     areas = np.bincount(labels[standing], minlength=count + 1)
     areas[0] = 0
     large = (areas >= max(1.0, _ISLAND * areas.max()))[labels]
     above = ndimage.binary_dilation(large & near, np.ones((2 * _LEDGE + 1, 2 * _LEDGE + 1, 1), bool))
-    over = _rising(standing & large, fits, fits.shape[2])  # all above a floor of such a part
+    over = _extend_up(standing & large, fits, fits.shape[2])  # all above a floor of such a part
     kept = np.zeros_like(fits)
     last = np.zeros(fits.shape[:2], bool)
     for z in range(fits.shape[2] - 1, -1, -1):
@@ -226,7 +226,7 @@ def _walked(fits: Mask, seen: Mask, step: int) -> Mask:
     return kept
 
 
-def _rising(start: Mask, through: Mask, most: int) -> Mask:
+def _extend_up(start: Mask, through: Mask, most: int) -> Mask:
     """Return (X, Y, Z) the start voxels, and up to `most` voxels above each as long as a mask holds."""
     left = np.where(start[:, :, 0], most, -1)
     found = np.zeros_like(through)
@@ -236,7 +236,7 @@ def _rising(start: Mask, through: Mask, most: int) -> Mask:
     return found
 
 
-def _shifted(mask: Mask, voxels: int) -> Mask:
+def _shift(mask: Mask, voxels: int) -> Mask:
     """Return a mask whose voxel z is voxel z + `voxels` of the given one; False beyond it."""
     shifted = np.zeros_like(mask)
     depth = mask.shape[2]
@@ -247,7 +247,7 @@ def _shifted(mask: Mask, voxels: int) -> Mask:
     return shifted
 
 
-def _reaching(mask: Mask, voxels: int) -> Mask:
+def _extend_vertically(mask: Mask, voxels: int) -> Mask:
     """Return a mask that reaches further up and down."""
     from scipy import ndimage
 

@@ -13,7 +13,7 @@ import type { Look, Stage } from "../page/stage.ts";
 import { clamp, distance } from "../page/vector.ts";
 import type { Vec3 } from "../page/vector.ts";
 import { messageOf } from "./protocol.ts";
-import type { Answer, Ask, Told } from "./protocol.ts";
+import type { Answer, Ask, PageEvent } from "./protocol.ts";
 
 const FARTHEST = 1e6; // of a coordinate, as on the wire
 const LOOKS_MS = 100; // between two looks at what has changed
@@ -31,7 +31,7 @@ class Voice {
     addEventListener("message", (event) => void this.#hear(event));
     document.addEventListener("pointerdown", ({ clientX, clientY }) => { this.#pressed = [clientX, clientY]; }, true);
     document.addEventListener("pointerup", (event) => void this.#click(event), true);
-    document.addEventListener("gsvis-hotspot", (event) => this.#tell("hotspot", (event as CustomEvent).detail));
+    document.addEventListener("gsvis-hotspot", (event) => this.#emit("hotspot", (event as CustomEvent).detail));
     setInterval(() => this.#look(), LOOKS_MS);
     this.#post("*", { gsvis: "event", name: "here", detail: null });
   }
@@ -43,11 +43,11 @@ class Voice {
     return home !== null && home !== "null" && [location.origin, ...embedders].includes(home);
   }
 
-  #post(to: string, message: Told | Answer): void {
+  #post(to: string, message: PageEvent | Answer): void {
     parent.postMessage(message, to === "null" ? "*" : to); // an origin without a name has no other spelling
   }
 
-  #tell(name: Told["name"], detail: unknown): void {
+  #emit(name: PageEvent["name"], detail: unknown): void {
     if (this.#home !== null) this.#post(this.#home, { gsvis: "event", name, detail });
   }
 
@@ -107,18 +107,18 @@ class Voice {
   }
 
   /** Tell an event whose detail has changed. */
-  #renew(name: Told["name"], detail: unknown): void {
+  #renew(name: PageEvent["name"], detail: unknown): void {
     const text = JSON.stringify(detail);
     if (this.#home === null || this.#before[name] === text) return;
     this.#before[name] = text;
-    this.#tell(name, detail);
+    this.#emit(name, detail);
   }
 
   async #click({ target, clientX: x, clientY: y }: PointerEvent): Promise<void> {
     const [px, py] = this.#pressed ?? [Infinity, 0];
     if (!(target instanceof HTMLCanvasElement) || Math.hypot(x - px, y - py) > STILL || !this.#reads) return;
     const found = await this.stage.find(x, y);
-    if (found) this.#tell("pick", { ...found, x, y });
+    if (found) this.#emit("pick", { ...found, x, y });
   }
 }
 

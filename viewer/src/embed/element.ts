@@ -1,7 +1,7 @@
 // `<gsvis-viewer>`: a scene in a page of somebody else. It holds a page of gsvis in a frame, which keeps the styles,
 // scripts and keys of both apart, and speaks with it by messages. Nothing in here draws.
 import { messageOf } from "./protocol.ts";
-import type { Answer, Ask, Told } from "./protocol.ts";
+import type { Answer, Ask, PageEvent } from "./protocol.ts";
 
 export type Point = [number, number, number];
 export type Mode = "orbit" | "fly" | "walk";
@@ -201,18 +201,19 @@ export class GsvisViewerElement extends HTMLElement {
 
   readonly #hear = ({ source, origin, data }: MessageEvent): void => {
     if (source !== this.#frame.contentWindow || origin !== this.#origin) return;
-    const answer = messageOf<Answer>(data, "answer"), told = messageOf<Told>(data, "event");
+    const answer = messageOf<Answer>(data, "answer");
+    const event = messageOf<PageEvent>(data, "event");
     if (answer) {
       const asked = this.#asked.get(answer.id);
       this.#asked.delete(answer.id);
       if (typeof answer.error === "string") asked?.failed(new Error(answer.error));
       else asked?.done(answer.value);
-    } else if (told?.name === "here") {
+    } else if (event?.name === "here") {
       this.#open = true;
       void this.#ask("listen").catch(() => undefined);
       for (const ask of this.#waiting.splice(0)) this.#post(ask);
-    } else if (told) {
-      this.dispatchEvent(new CustomEvent(told.name, { detail: told.detail }));
+    } else if (event) {
+      this.dispatchEvent(new CustomEvent(event.name, { detail: event.detail }));
     }
   };
 
