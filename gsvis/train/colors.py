@@ -29,8 +29,6 @@ from gsvis.train.loss import photometric_loss
 
 __all__ = ["LearnConfig", "learn_colors", "learn_sh"]
 
-_LEAST_DECAY = 1e-3
-
 
 @dataclass(frozen=True)
 class LearnConfig:
@@ -120,12 +118,12 @@ def learn_colors(
     ids = np.arange(len(g)) if shown is None else np.flatnonzero(shown)
     part = colors[ids]
     start = SrbfTensors.from_colors(part, requires_grad=True)
-    log_decays = start.decays.detach().log().requires_grad_()
+    growth = torch.zeros_like(start.decays, requires_grad=True)  # logarithms, so that no growth changes no bit
     scene = GaussianTensors.from_gaussians(g[ids])
 
     def now() -> SrbfTensors:
         """Return the colors of this step."""
-        return replace(start, decays=log_decays.exp().clamp(_LEAST_DECAY, MAX_DECAY))
+        return replace(start, decays=(start.decays.detach() * growth.exp()).clamp(max=MAX_DECAY))
 
     def draw(camera: Cameras) -> Tensor:
         """Return the image of one camera."""
@@ -135,7 +133,7 @@ def learn_colors(
         start.base: config.base_rate,
         start.intensities: config.intensity_rate,
         start.centers: config.center_rate,
-        log_decays: config.decay_rate,
+        growth: config.decay_rate,
     }
     _descend(rates, draw, views, config, progress)
     return _put_back(colors, ids, now())
@@ -148,7 +146,9 @@ def _put_back(colors: SrbfColors, ids: NDArray[np.int64], learned: SrbfTensors) 
     member = np.zeros(len(colors), bool)
     member[ids] = True
     terms = member[colors.gaussian_ids]
-    angles = spherical_coordinates(unit_vectors(learned.centers.detach().numpy()))
+    angles = learned.centers.detach().numpy().copy()
+    moved = (angles != colors.centers[terms]).any(axis=1)
+    angles[moved] = spherical_coordinates(unit_vectors(angles[moved]))
     parts = {"centers": angles, "decays": learned.decays.detach().numpy()}
     parts["intensities"] = learned.intensities.detach().numpy()
     whole = {name: getattr(colors, name).copy() for name in parts}

@@ -76,6 +76,20 @@ def test_what_no_view_shows_keeps_its_colors(scene: Gaussians, colors: SrbfColor
     assert not np.array_equal(learned.base[~hidden], colors.base[~hidden])
 
 
+def test_what_lies_behind_all_cameras_keeps_its_colors(
+    scene: Gaussians, colors: SrbfColors, views: PosedImages
+) -> None:
+    away = np.arange(len(scene)) % 3 == 0
+    means = scene.means + np.where(away, 50.0, 0.0)[:, None] * np.array([0.0, 0.0, 1.0])
+    apart = Gaussians(means, scene.quats, scene.scales, scene.opacities, scene.sh0, scene.shN)
+    learned = learn_colors(apart, colors, views, replace(FEW, steps=4))
+    terms = away[colors.gaussian_ids]
+    assert np.array_equal(learned.base[away], colors.base[away])
+    for name in ("centers", "decays", "intensities"):
+        assert np.array_equal(getattr(learned, name)[terms], getattr(colors, name)[terms])
+        assert not np.array_equal(getattr(learned, name)[~terms], getattr(colors, name)[~terms])
+
+
 def test_the_same_run_gives_the_same_colors(scene: Gaussians, colors: SrbfColors, views: PosedImages) -> None:
     one, two = (learn_colors(scene, colors, views, replace(FEW, steps=5)) for _ in range(2))
     for name in ("base", "centers", "decays", "intensities"):
