@@ -33,7 +33,7 @@ NOT_PATHS = {
     "origins",
     "proxies",
     "title",
-    "background",
+    "backdrop",
     "accent",
     "embedders",
     "view",
