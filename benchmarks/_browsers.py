@@ -1,4 +1,4 @@
-"""Browsers without a window that visit a page and report what the page has gathered: Chromium and Firefox.
+"""Browsers that nobody looks at, which visit a page and report what the page has gathered: Chromium and Firefox.
 
 Chromium is driven by Playwright; Firefox ESR, whose Playwright build is another, by WebDriver BiDi over its own socket.
 """
@@ -6,6 +6,7 @@ Chromium is driven by Playwright; Firefox ESR, whose Playwright build is another
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -79,8 +80,9 @@ class _Bidi:
 def _firefox() -> Iterator[Visit]:
     path = shutil.which("firefox-esr")
     need(path, "Firefox ESR on the PATH")
+    need(os.environ.get("DISPLAY"), "a display, such as that of xvfb-run: Firefox without one offers no WebGL2")
     with tempfile.TemporaryDirectory() as profile:
-        words = [str(path), "--headless", "--remote-debugging-port", "0", "--profile", profile, "--no-remote"]
+        words = [str(path), "--remote-debugging-port", "0", "--profile", profile, "--no-remote"]
         process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
         try:
             assert process.stderr is not None
