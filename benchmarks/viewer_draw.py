@@ -154,7 +154,7 @@ def measure(
 
     with served(folder) as address:
         with browser_page(f"{address}/picture.html") as (page, said):
-            page.wait_for_function("window.ready")
+            page.wait_for_function("() => window.ready")
             appended = page.evaluate("([name, precision]) => test.open(name, { precision })", [name, options.precision])
             shape = (lens["height"], lens["width"], 4)
             data = base64.b64decode(page.evaluate("lens => test.canvasBytes(lens)", lens))
@@ -182,7 +182,7 @@ def measure(
                 continue
             with browser_page(f"{address}/{page_name}.html") as (page, said):
                 page.set_default_timeout(240_000)
-                page.wait_for_function("window.ready")
+                page.wait_for_function("() => window.ready")
                 page.evaluate("([url, lens]) => test.open(url, lens)", [f"{name}.ply", lens])
                 picture = page.evaluate("lens => test.picture(lens)", lens)
                 other = spin(page, lens, options.seconds)

@@ -105,7 +105,7 @@ def visit(url: str, chromium: str, options: argparse.Namespace) -> list[dict[str
             page.goto(url, wait_until="commit")
             page.evaluate(COMPLETE)
             complete, spent = time.perf_counter() - began - STILL, core_seconds() - spent
-            page.wait_for_function("window.drawn")
+            page.wait_for_function("() => window.drawn")
             page.keyboard.press("t")
             text = page.locator(".statistics").inner_text()
             runs.append({

@@ -123,7 +123,7 @@ def test_a_reconnect_leaves_the_options_as_they_are_another_scene_fills_them_ane
     rest(page)
     assert page.evaluate("kept.length > 3 && kept.every((each) => each.isConnected)")
     page.evaluate("fake.greet('1'.repeat(64))")
-    page.wait_for_function("!kept[0].isConnected")
+    page.wait_for_function("() => !kept[0].isConnected")
     assert page.evaluate("kept.at(-1).isConnected")  # its buttons watch the actions, and are made once
 
 
@@ -364,7 +364,7 @@ def test_hotspots_show_title_text_and_link_and_hide_behind_walls(visit: Open) ->
     page = visit(f"{ROOM}?settings=spots.json")
     table, wall, behind = page.locator(".spot").all()
     table.wait_for()
-    page.wait_for_function("document.querySelectorAll('.spot')[1].hasAttribute('data-behind')")
+    page.wait_for_function("() => document.querySelectorAll('.spot')[1].hasAttribute('data-behind')")
     assert wall.is_hidden()  # the stand-in for the core meets something 3.2 units away
     assert behind.is_hidden()  # behind the eye
     page.evaluate("document.addEventListener('gsvis-hotspot', ({detail}) => { window.spot = detail; })")
@@ -417,7 +417,7 @@ def test_a_click_or_touch_leaves_no_ring_around_the_scene_a_key_does(visit: Open
 
 def test_a_server_that_never_answers_is_not_called_a_lost_connection(visit: Open) -> None:
     page = visit(f"{ROOM}?silent", ready=False)
-    page.wait_for_function("window.fake")
+    page.wait_for_function("() => window.fake")
     for _ in range(4):
         page.evaluate("fake.become({kind: 'waiting', seconds: 2, message: 'scene.json: no connection'})")
         page.evaluate("fake.become({kind: 'connecting'})")

@@ -85,7 +85,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def opened(browser: Any, folder: Path) -> Iterator[Any]:
     with served(folder) as address, page_in(browser, f"{address}/picture.html") as (page, said):
-        page.wait_for_function("window.ready")
+        page.wait_for_function("() => window.ready")
         yield page
         assert said == []
 

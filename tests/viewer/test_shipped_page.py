@@ -173,7 +173,7 @@ def test_a_wider_window_is_filled_sharply_and_asks_for_what_it_sees(visit: Open,
         page.set_viewport_size({"width": 400, "height": 160})
         until(lambda: server.metrics.opened.value("scene") == 3)  # HELLO with the wider view
         page.wait_for_function(
-            "(({width, height}) => width === 400 && height === 160)(document.querySelector('canvas'))"
+            "() => (({width, height}) => width === 400 && height === 160)(document.querySelector('canvas'))"
         )
         # As high, so as large, pixel by pixel: the middle of the wide picture is the narrow one.
         until(lambda: bool(np.mean((picture(page)[:, 80:320] - picture(narrow)) ** 2) < 1e-4))

@@ -104,7 +104,7 @@ def wait_for_picture(page: Any, scene: Path) -> None:
 
 def test_the_engine_alone_loads_everything_without_a_message(scene: Path, tmp_path: Path) -> None:
     with page_of("playcanvas.html", tmp_path, scene, f"plain=1&{RIGHT}", "playcanvas") as (page, said):
-        page.wait_for_function("globalThis.app?.stats.frame.gsplats === 400", timeout=1000 * PATIENCE)
+        page.wait_for_function("() => globalThis.app?.stats.frame.gsplats === 400", timeout=1000 * PATIENCE)
         assert said == []
 
 
@@ -112,7 +112,7 @@ def test_a_missing_sidecar_is_named(scene: Path, tmp_path: Path) -> None:
     shutil.copytree(scene, tmp_path / "cut")
     next((tmp_path / "cut").glob("leaves-*.bin")).unlink()
     with page_of("playcanvas.html", tmp_path, tmp_path / "cut", LEFT, "playcanvas") as (page, said):
-        page.wait_for_function("document.querySelector('p').textContent.includes('404')", timeout=1000 * PATIENCE)
+        page.wait_for_function("() => document.querySelector('p').textContent.includes('404')", timeout=1000 * PATIENCE)
         assert any("404" in each for each in said)
 
 
