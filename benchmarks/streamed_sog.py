@@ -1,7 +1,7 @@
 """How many bytes and splats does a streamed SOG need with the sidecar of needed leaves, and how many without?
 
 Both orders load the same leaves, one level of detail, from the same folder; quality is against a drawing of everything
-in it. With the sidecar: the order of `examples/streamed/needed-leaves.js`, run by node on the written files, with
+in it. With the sidecar: the order of `examples/engines/needed-leaves.js`, run by node on the written files, with
 position and direction. Without: the order of PlayCanvas' engine 2.23 with its defaults, by squared distance to the box
 of a leaf, boxes shrunk by three quarters of what they have beyond the median box, and 1.5 times as far straight behind
 the eye. A third order shows what the direction alone does: the engine's, with the loader's leaves ahead first. Splats
@@ -37,7 +37,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.paths import HeadPath
 
 FIRST, DRAWN = 35.0, 45.0
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "streamed" / "needed-leaves.js"
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "engines" / "needed-leaves.js"
 PLAN = """
 import { readFileSync } from "node:fs";
 const [module, folder] = process.argv.slice(2);

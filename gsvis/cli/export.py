@@ -20,6 +20,7 @@ from gsvis.files.origins import parse_origins
 from gsvis.files.output import check_file, check_folder
 from gsvis.io.sources import check_source, is_builtin, title_of
 from gsvis.package.shown import is_package
+from gsvis.scene.axes import describe_direction
 from gsvis.scene.source import Source
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ __all__ = ["run_export"]
 
 Triple = tuple[float, float, float]
 _PRESENTED = tuple(each.name for each in fields(Presented))
+_UPRIGHT = 0.98  # cosine of the angle between two axes that are alike
 _PLACING = tuple(name for name in PLACING if name != "up")
 
 
@@ -213,7 +215,8 @@ def _export_leaves(command: Export) -> None:
         show(f"Show it: CesiumJS opens {command.out}/tileset.json (docs/how-to/tiles.md)")
     else:
         show(facts(f"{command.out}: {found.leaves:,} leaves, {size_of(found.nbytes)}", _streamed_rows(found)))
-        show(f"Show it: examples/streamed, or any viewer that opens {command.out}/lod-meta.json")
+        show(*_turned(found.up))
+        show(f"Show it: examples/engines, or any viewer that opens {command.out}/lod-meta.json")
 
 
 def _write(command: Export, scene: Any, store: Any, name: str, up: Triple | None, status: Status) -> Any:
@@ -256,6 +259,17 @@ def _streamed_rows(found: StreamedReport) -> list[tuple[str, str]]:
         rows.append(("never seen from any cell", f"{found.never_seen:,}, {done}"))
     rows.append((f"sidecar {found.sidecar}", f"{size_of(found.sidecar_nbytes)}, {100 * share:.2f}% of all bytes"))
     return rows
+
+
+def _turned(up: Triple) -> list[str]:
+    """Return a line if viewers of PlayCanvas would show a scene turned: they take -y as up; none if not."""
+    if up[1] < -_UPRIGHT:
+        return []
+    axis = describe_direction(up)
+    change = f"gsvis convert --change-up {axis}:-y" if len(axis) == 2 else "gsvis convert --rotate"
+    return [
+        f"LIES TURNED IN VIEWERS: up is {axis}, PlayCanvas' viewers take -y for up; turn the scene first ({change})"
+    ]
 
 
 def _tiles_rows(found: TilesReport) -> list[tuple[str, str]]:

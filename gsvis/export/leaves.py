@@ -76,6 +76,13 @@ class Leaves:
         owners = self.of_ids[self.order]
         return np.array([np.bincount(owners[member], minlength=len(self)) for member in members], np.int64)
 
+    @cached_property
+    def finest(self) -> NDArray[np.bool_]:
+        """(N,) whether each Gaussian belongs to the finest level that its leaf has."""
+        level = len(self.levels) - 1 - np.argmax(self.counts > 0, axis=0)
+        own = level[np.maximum(self.of_ids, 0)]
+        return np.asarray((self.of_ids >= 0) & (self.levels.first <= own) & (own <= self.levels.last))
+
     @property
     def _levels(self) -> range:
         """Numbers of the levels, highest first."""

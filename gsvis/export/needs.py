@@ -1,8 +1,8 @@
-"""Find which leaves of a streamed scene each cell needs, and in which order, and write them as the sidecar.
+"""Find the light of each leaf of a streamed scene in each cell, and write it as the sidecar, with a table of levels.
 
 docs/streamed.md describes the file to the byte. A row belongs to one or more cells: a bitmap of leaves, lowest bit
-first, and a byte for the light of each leaf in it. Row 0 is for eyes outside of all cells, and has every leaf. This
-module knows no file format of scenes.
+first, and a byte for the light of each leaf in it. Row 0 is for eyes outside of all cells, and has every leaf. The
+table has the splats, bytes and error of each leaf at each level. This module knows no file format of scenes.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import struct
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,21 +23,52 @@ from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.stream.source import class_weights
 
-__all__ = ["FORMAT", "LOST", "VERSION", "LeafNeeds", "find_needs"]
+__all__ = ["ABSENT", "FORMAT", "LOST", "VERSION", "LeafNeeds", "LevelTable", "find_needs", "scene_sum"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 FORMAT = "gsvis-leaves"
-VERSION = 1
+VERSION = 2
 
 LOST = 1e-4
 """Largest share of the light of a cell that omitted leaves may have."""
 
+ABSENT = 0.125
+"""Error of a leaf that is not drawn at all: about the mean squared difference of two colors of a picture."""
+
 CELL_ROW = np.dtype([("box", "<u2", 3), ("row", "<u2")])
 _MOST = 0xFFFF
 _SPHERE = 4.0 * np.pi
+
+
+class LevelTable(NamedTuple):
+    """The cost and the error of B leaves at L levels of detail, finest first.
+
+    Attributes:
+        counts: (L, B) Gaussians; 0 where a leaf has no such level.
+        sizes: (L, B) bytes.
+        errors: (L, B) mean squared difference from the finest level over what a leaf covers, in [0, 1].
+    """
+
+    counts: I64
+    sizes: I64
+    errors: F64
+
+    def encode(self) -> bytes:
+        """Return the table as it lies in the file; an error of 2^-64 or less is none."""
+        bytes_of = np.where(self.errors > 2.0**-64, quantize_gains(np.maximum(self.errors, 1e-300), 0), 0)
+        whole = (np.asarray(part, "<u4").tobytes() for part in (self.counts, self.sizes))
+        return b"".join(whole) + bytes_of.astype(np.uint8).tobytes()
+
+
+def scene_sum(names: list[str]) -> int:
+    """Return the 32-bit FNV-1a sum of the names of all files, which hold hashes of their contents."""
+    total = 0x811C9DC5
+    for byte in "\n".join(names).encode():
+        total = ((total ^ byte) * 0x01000193) & 0xFFFFFFFF
+    return total
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +102,7 @@ class LeafNeeds:
         np.maximum.at(lights, owner.reshape(-1), self.lights)
         return LeafNeeds(self.origin, 2.0 * self.size, boxes, lights, self.everywhere)
 
-    def encode(self, facts: dict[str, Any]) -> bytes:
+    def encode(self, facts: dict[str, Any], table: LevelTable) -> bytes:
         """Return the file; `facts` go into its header.
 
         Raises:
@@ -93,6 +124,8 @@ class LeafNeeds:
             "version": VERSION,
             **facts,
             "leaves": len(self.everywhere),
+            "levels": len(table.counts),
+            "absent": ABSENT,
             "cells": len(cells),
             "rows": len(rows),
             "origin": [float(v) for v in self.origin],
@@ -101,15 +134,15 @@ class LeafNeeds:
         }
         text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-(len(text) + 4) % 4)
-        return struct.pack("<I", len(text)) + text + cells.tobytes() + b"".join(rows)
+        return struct.pack("<I", len(text)) + text + table.encode() + cells.tobytes() + b"".join(rows)
 
-    def encode_within(self, facts: dict[str, Any], most: int) -> bytes:
+    def encode_within(self, facts: dict[str, Any], table: LevelTable, most: int) -> bytes:
         """Return the file, with cells merged until it has at most `most` bytes or one cell is left."""
         needs = self
-        data = needs.encode(facts)
+        data = needs.encode(facts, table)
         while len(data) > most and len(needs.boxes) > 1:
             needs = needs.coarsen()
-            data = needs.encode(facts)
+            data = needs.encode(facts, table)
         return data
 
 
@@ -134,7 +167,7 @@ def find_needs(
     g = leaves.levels.union
     count = len(leaves)
     areas = np.minimum(extents(g)[1].astype(np.float64), 1e30)
-    inside = leaves.of_ids >= 0
+    inside = leaves.finest
     if store is None:
         everywhere = _sums(leaves.of_ids[inside], (areas * g.opacities)[inside], count)
         return LeafNeeds(np.zeros(3), 0.0, np.zeros((0, 3), np.int64), np.zeros((0, count)), everywhere)

@@ -1,7 +1,7 @@
 """Write a scene as streamed SOG with a sidecar of visibility, for existing viewers.
 
 PlayCanvas' engine, its viewers and splat-transform read the scene unchanged; docs/streamed.md describes the sidecar,
-and a loader in `examples/streamed` uses it.
+and a loader in `examples/engines` uses it.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.export.leaves import LEAF, cut_leaves
+from gsvis.export.level_errors import measure_errors, pick_eyes
 from gsvis.export.levels import ever_seen, open_levels
-from gsvis.export.needs import LOST, find_needs
+from gsvis.export.needs import LOST, LeafNeeds, LevelTable, find_needs, scene_sum
 from gsvis.export.start import Start, rich_poses, start_poses
 from gsvis.io.streamed_sog_writer import check_streamed_target, save_streamed_sog
 from gsvis.package.package import Package
@@ -81,6 +82,7 @@ class StreamedReport:
         sidecar: Name of the sidecar.
         sidecar_nbytes: Bytes of the sidecar.
         nbytes: Total bytes.
+        up: (3,) axis that points upward. Viewers of PlayCanvas take -y.
     """
 
     path: Path
@@ -94,6 +96,7 @@ class StreamedReport:
     sidecar: str
     sidecar_nbytes: int
     nbytes: int
+    up: tuple[float, float, float]
 
 
 def write_streamed_sog(
@@ -113,7 +116,8 @@ def write_streamed_sog(
         options: Division into leaves; None means `StreamedOptions()`.
         visibility: Visible sets of the scene; None means those of the package, or none.
         overwrite: Replace an earlier scene.
-        progress: Called with stages "sets" and "export", and by the fit of SH colors for a package with terms.
+        progress: Called with stages "sets", "errors" and "export", and by the fit of SH colors for a package with
+            terms.
 
     Raises:
         ValueError: If the folder holds something else; or never seen Gaussians are to be dropped without visible sets.
@@ -138,6 +142,7 @@ def write_streamed_sog(
     grid = None if store is None else store.grid
     up = said.up or known.up or ((0.0, 0.0, 1.0) if grid is None else tuple(grid.up.tolist()))
     poses = said.poses or known.poses or _poses(levels, store, up)
+    errors = measure_errors(leaves, _eyes(needs, store, poses), progress)
     facts: dict[str, Any] = {
         "name": said.name,
         "up": [float(v) for v in up],
@@ -146,9 +151,10 @@ def write_streamed_sog(
     }
     beside: dict[str, bytes] = {}
 
-    def sidecar(sizes: NDArray[np.int64]) -> dict[str, bytes]:
-        """Return the sidecar by name, from the bytes of leaves."""
-        data = needs.encode_within(facts, int(_SHARE * sizes.sum()))
+    def sidecar(sizes: NDArray[np.int64], names: list[str]) -> dict[str, bytes]:
+        """Return the sidecar by name, from the bytes and the names of the files of leaves."""
+        table = LevelTable(leaves.counts, sizes, errors)
+        data = needs.encode_within({**facts, "scene": scene_sum(names)}, table, int(_SHARE * sizes.sum()))
         beside[f"leaves-{hashlib.sha256(data).hexdigest()[:16]}.bin"] = data
         return beside
 
@@ -167,7 +173,15 @@ def write_streamed_sog(
         sidecar=name,
         sidecar_nbytes=len(data),
         nbytes=written.nbytes,
+        up=up,
     )
+
+
+def _eyes(needs: LeafNeeds, store: VisibilityStore | None, poses: tuple[Start, ...]) -> NDArray[np.float64]:
+    """Return (E, 3) eyes around which the errors of levels are measured: middles of cells, or start views."""
+    if store is None:
+        return np.array([pose.position for pose in poses], np.float64).reshape(-1, 3)
+    return np.asarray(store.grid.centers[pick_eyes(needs.lights)], np.float64)
 
 
 def _poses(levels: Levels, store: VisibilityStore | None, up: tuple[float, float, float]) -> tuple[Start, ...]:

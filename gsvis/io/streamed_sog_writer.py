@@ -76,7 +76,7 @@ def save_streamed_sog(
     scene: LeafScene,
     folder: str | os.PathLike[str],
     *,
-    beside: Callable[[NDArray[np.int64]], Mapping[str, bytes]] | None = None,
+    beside: Callable[[NDArray[np.int64], list[str]], Mapping[str, bytes]] | None = None,
     progress: Progress = silent,
 ) -> WrittenLeaves:
     """Write a scene as streamed SOG. The same scene gives the same bytes.
@@ -87,8 +87,8 @@ def save_streamed_sog(
     Args:
         scene: The leaves.
         folder: The folder; made if missing.
-        beside: Function from the (L, B) bytes of all leaves to the names and contents of further files. Their names are
-            also listed in `lod-meta.json`, where readers of the format ignore them.
+        beside: Function from the (L, B) bytes of all leaves and the names of their files to the names and contents of
+            further files. Their names are also listed in `lod-meta.json`, where readers of the format ignore them.
         progress: Called with stage "export", in pieces.
 
     Raises:
@@ -123,7 +123,7 @@ def save_streamed_sog(
             document["environment"], encoded = _write_sog(partial, "env", scene.environment)
             total += sum(len(data) for data in encoded.files.values())
             losses.append(_PaletteLoss.of(scene.environment, encoded))
-        extra = {} if beside is None else beside(sizes)
+        extra = {} if beside is None else beside(sizes, list(names.values()))
         for name, data in extra.items():
             (partial / name).write_bytes(data)
         if extra:

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from gsvis import _check
 from gsvis.progress import Progress, silent
 from gsvis.render._kernels import tiles as _kernels_tiles
 from gsvis.render.reference import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
@@ -18,7 +19,7 @@ from gsvis.render.splats import Projected, View, project
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["PixelContributors", "ViewWeights", "contributors", "view_weights"]
+__all__ = ["PixelContributors", "ViewWeights", "contributors", "share_out", "view_weights"]
 
 F32 = NDArray[np.float32]
 
@@ -73,18 +74,39 @@ def view_weights(
     progress("views", 0, len(cameras))
     for c in range(len(cameras)):
         view, projected = _project(g, cameras[c], antialiased)
-        pairs = np.empty((len(projected.members), 2), np.float32)
-        colorless = np.zeros((len(projected.ids), 4), np.float32)
-        lists = projected.offsets, projected.members, projected.pair_of, view.tiles[0]
-        _kernels_tiles.weigh_tiles(projected.splats, colorless, *lists, view.width, view.height, pairs)
+        pairs = _weigh_pairs(view, projected)
         if len(pairs):
-            met = np.flatnonzero(np.diff(projected.first_pair))  # reduceat needs non-empty ranges
-            starts = projected.first_pair[met]
-            ids = projected.ids[projected.order[met]]
+            ids, starts = _met(projected)
             largest[c, ids] = np.maximum.reduceat(pairs[:, 0], starts)
             summed[c, ids] = np.add.reduceat(pairs[:, 1], starts)
         progress("views", c + 1, len(cameras))
     return ViewWeights(largest, summed)
+
+
+def share_out(g: Gaussians, camera: Cameras, images: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Share images out to the Gaussians that cover them, by blending weight.
+
+    Args:
+        g: N Gaussians.
+        camera: One camera.
+        images: (H, W, K) values of its pixels, such as squared errors. A Gaussian gets its weight in a tile of pixels
+            times the mean value of the tile.
+
+    Returns:
+        (N, K) the values of each Gaussian, and (N,) its summed weights.
+    """
+    view, projected = _project(g, camera, None)
+    values = _check.floats("images", images, (view.height, view.width, "K"))
+    pairs = _weigh_pairs(view, projected)[:, 1].astype(np.float64)
+    shares = np.zeros((len(g), values.shape[2]))
+    weights = np.zeros(len(g))
+    if len(pairs):
+        of_pairs = np.empty((len(pairs), values.shape[2]))
+        of_pairs[projected.pair_of] = np.repeat(_tile_means(values), np.diff(projected.offsets), axis=0)
+        ids, starts = _met(projected)
+        shares[ids] = np.add.reduceat(pairs[:, None] * of_pairs, starts)
+        weights[ids] = np.add.reduceat(pairs, starts)
+    return shares, weights
 
 
 def contributors(
@@ -127,6 +149,32 @@ def contributors(
         (alphas * transmittance[:-1])[lit].astype(np.float32),
         projected.depths[members[lit]],
     )
+
+
+def _tile_means(images: F32) -> NDArray[np.float64]:
+    """Return (tiles, K) the mean of each tile of (H, W, K) images, row after row."""
+    side = _kernels_tiles.TILE
+    means = images.astype(np.float64)
+    for axis in (0, 1):
+        starts = np.arange(0, means.shape[axis], side)
+        sizes = np.diff(np.append(starts, means.shape[axis]))
+        means = np.add.reduceat(means, starts, axis=axis) / np.expand_dims(sizes, (1 - axis, 2))
+    return means.reshape(-1, images.shape[2])
+
+
+def _weigh_pairs(view: View, projected: Projected) -> F32:
+    """Return (P, 2) the largest and the summed weight of each pair of a splat and a tile."""
+    pairs = np.empty((len(projected.members), 2), np.float32)
+    colorless = np.zeros((len(projected.ids), 4), np.float32)
+    lists = projected.offsets, projected.members, projected.pair_of, view.tiles[0]
+    _kernels_tiles.weigh_tiles(projected.splats, colorless, *lists, view.width, view.height, pairs)
+    return pairs
+
+
+def _met(projected: Projected) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the ids of the Gaussians with a pair, and the first pair of each: reduceat needs non-empty ranges."""
+    met = np.flatnonzero(np.diff(projected.first_pair))
+    return projected.ids[projected.order[met]], projected.first_pair[met]
 
 
 def _project(g: Gaussians, camera: Cameras, antialiased: bool | None) -> tuple[View, Projected]:

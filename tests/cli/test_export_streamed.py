@@ -34,6 +34,17 @@ def test_a_scene_and_its_sets_become_leaves(ply: Path, tmp_path: Path, capsys: p
     assert len(load_scene(tmp_path / "out" / "lod-meta.json")) == 150
 
 
+def test_a_scene_that_viewers_would_turn_is_said_so(
+    ply: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["export", str(ply), "-o", str(tmp_path / "out"), *FORMAT, "--overwrite", "--up"]
+    assert main([*words, "+z"]) == 0
+    assert "TURNED IN VIEWERS: up is +z" in (said := " ".join(capsys.readouterr().out.split()))
+    assert "--change-up +z:-y" in said
+    assert main([*words, "-y"]) == 0
+    assert "TURNED" not in capsys.readouterr().out
+
+
 def test_without_sets_it_says_so(ply: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", str(ply), "-o", str(tmp_path / "out"), *FORMAT]) == 0
     assert "gsvis pvs" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""The loader of examples/streamed, run by node: what it reads and plans is what the documented bytes say."""
+"""The loader of examples/engines, run by node: what it reads, plans and chooses is what the documented bytes say."""
 
 from __future__ import annotations
 
@@ -12,11 +12,32 @@ import numpy as np
 import pytest
 
 from gsvis.export import StreamedOptions, write_streamed_sog
+from tests.export import choosing
 from tests.export.test_needs import store_of, two_heaps
 from tests.export.test_streamed import sidecar_of
 from tests.serve.servers import PATIENCE
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "streamed"
+CHOICE = """
+import { readFileSync } from "node:fs";
+import { chooseLevels, leafLights, loadOrder } from "CHOICE";
+import { power } from "MODULE";
+const found = JSON.parse(readFileSync(process.argv[2], "utf8")).map((c) => {
+  const lods = (k) => c.counts[k].map((count, lod) => (count ? { count, bytes: c.bytes[k][lod] } : null));
+  const errors = (k) => c.errors[k].map((byte) => byte && power(byte - 255));
+  const leaves = c.counts.map((_, k) => ({ lods: lods(k), errors: errors(k) }));
+  const rows = [c.lights, c.lights.map(() => 255)];
+  const ahead = (leaf) => (leaf === 0 ? 256 : 0);
+  const scene = { leaves, rows, ahead, header: { absent: c.absent }, cellAt: ([x]) => ({ row: x }) };
+  const views = [{ position: [0, 0, 0] }], chosen = chooseLevels(scene, views, c.splats);
+  const all = chooseLevels(scene, views);
+  const turned = leafLights(scene, [{ position: [0, 0, 0], forward: [1, 0, 0] }]);
+  const two = leafLights(scene, [...views, { position: [1, 0, 0], weight: 0.5 }]);
+  return { lods: [...chosen.lods], drawn: chosen.splats, order: loadOrder(scene, views, chosen.lods, c.most_bytes),
+    all: [...all.lods], once: [...leafLights(scene, views)], turned: [...turned], two: [...two] };
+});
+console.log(JSON.stringify(found));
+"""
+EXAMPLE = Path(__file__).parents[2] / "examples" / "engines"
 SCRIPT = """
 import { readFileSync } from "node:fs";
 import { NeededLeaves } from "MODULE";
@@ -31,22 +52,69 @@ console.log(JSON.stringify({ plans, urls: scene.leaves.map(({ lods }) => lods.ma
 CELLS = (3, 2, 1)
 
 
-def run(tmp_path: Path, folder: Path, eyes: list[Any]) -> dict[str, Any]:
-    node = shutil.which("node")
-    if node is None:
+def node(tmp_path: Path, text: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run a program with the modules of the example."""
+    program = shutil.which("node")
+    if program is None:
         pytest.skip("no node: install Node.js 18 or later")
     script = tmp_path / "run.mjs"
-    script.write_text(SCRIPT.replace("MODULE", (EXAMPLE / "needed-leaves.js").as_uri()))
-    done = subprocess.run([node, script, folder, json.dumps(eyes)], capture_output=True, text=True, timeout=PATIENCE)
+    for name, file in (("MODULE", "needed-leaves.js"), ("CHOICE", "level-choice.js")):
+        text = text.replace(f'"{name}"', f'"{(EXAMPLE / file).as_uri()}"')
+    script.write_text(text)
+    return subprocess.run([program, script, *words], capture_output=True, text=True, timeout=PATIENCE)
+
+
+def run(tmp_path: Path, folder: Path, eyes: list[Any]) -> dict[str, Any]:
+    done = node(tmp_path, SCRIPT, folder, json.dumps(eyes))
     assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout)
     return found
 
 
-def test_the_loader_is_short_and_imports_nothing() -> None:
-    text = (EXAMPLE / "needed-leaves.js").read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 150
-    assert "import " not in text
+@pytest.mark.parametrize("name", [path.name for path in sorted(EXAMPLE.glob("*.js"))])
+def test_programs_are_short(name: str) -> None:
+    assert len((EXAMPLE / name).read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def test_levels_are_chosen_as_the_reference_chooses(tmp_path: Path) -> None:
+    cases = json.loads(choosing.CASES.read_text())
+    assert cases == [choosing.solved(case) for case in cases]  # the file is what the reference says
+    done = node(tmp_path, CHOICE, choosing.CASES)
+    assert done.returncode == 0, done.stderr
+    for case, found in zip(cases, json.loads(done.stdout), strict=True):
+        assert {key: found[key] for key in ("lods", "drawn", "order")} == {
+            key: case[key] for key in ("lods", "drawn", "order")
+        }
+        assert found["drawn"] <= case["splats"]
+        assert found["all"] == choosing.choose({**case, "splats": float("inf")})[0]
+        lit = np.array(found["once"])
+        ahead = np.where(np.arange(len(lit)) == 0, 1.0, 1 / 16)  # the first leaf alone is in the view
+        assert found["turned"] == (lit * ahead).tolist()
+        assert found["two"] == np.maximum(lit, 0.5).tolist()  # a second view, of half the weight, sees all brightly
+
+
+def test_more_splats_leave_less_error_and_never_pass_the_budget() -> None:
+    for seed in range(100, 108):
+        case = choosing.make_case(seed)
+        left = []
+        for splats in (0, 2000, 10**9):
+            lods, drawn = choosing.choose({**case, "splats": splats})
+            assert drawn <= splats
+            lights = [choosing.power(byte - 255) if byte else 0.0 for byte in case["lights"]]
+            left.append(np.dot(lights, [choosing.error(case, leaf, lod) for leaf, lod in enumerate(lods)]))
+        assert left == sorted(left, reverse=True)
+
+
+def test_a_sidecar_of_another_scene_is_refused(tmp_path: Path) -> None:
+    for name, seed in (("a", 0), ("b", 1)):
+        g = two_heaps(100 + seed)
+        write_streamed_sog(tmp_path / name, g, StreamedOptions(leaf=128))
+    (other,) = (tmp_path / "b").glob("leaves-*.bin")
+    (own,) = (tmp_path / "a").glob("leaves-*.bin")
+    own.write_bytes(other.read_bytes())
+    done = node(tmp_path, SCRIPT, tmp_path / "a", "[]")
+    assert done.returncode != 0
+    assert "a sidecar of another scene: export the scene and its sidecar together" in done.stderr
 
 
 def test_plans_are_what_the_bytes_say(tmp_path: Path) -> None:

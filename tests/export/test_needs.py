@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gsvis.export.leaves import Leaves, cut_leaves
-from gsvis.export.needs import LeafNeeds, find_needs
+from gsvis.export.needs import LeafNeeds, LevelTable, find_needs, scene_sum
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.store import CellSet, StoreInfo, VisibilityStore, write_store
 from gsvis.scene.content import scene_hash
@@ -45,12 +45,29 @@ def heaps() -> tuple[Gaussians, Leaves]:
     return g, cut_leaves(Levels.single(g), most=100)
 
 
+def plain(leaves: int) -> LevelTable:
+    """A table of one level, with nothing to say."""
+    ones = np.ones((1, leaves), np.int64)
+    return LevelTable(ones, ones, np.zeros((1, leaves)))
+
+
+def decode_table(data: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Read the table of levels as docs/streamed.md says: splats, bytes, and bytes of errors, (L, B) each."""
+    length = int.from_bytes(data[:4], "little")
+    header = json.loads(data[4 : 4 + length])
+    shape = header["levels"], header["leaves"]
+    size = shape[0] * shape[1]
+    counts = np.frombuffer(data, "<u4", size, 4 + length).reshape(shape)
+    sizes = np.frombuffer(data, "<u4", size, 4 + length + 4 * size).reshape(shape)
+    return counts, sizes, np.frombuffer(data, np.uint8, size, 4 + length + 8 * size).reshape(shape)
+
+
 def decode(data: bytes) -> tuple[dict[str, Any], list[tuple[list[int], int]], list[dict[int, int]]]:
     """Read a sidecar as docs/streamed.md says: header, cells (box, row), and the light byte of each leaf of a row."""
     length = int.from_bytes(data[:4], "little")
     header = json.loads(data[4 : 4 + length])
     assert (4 + length) % 4 == 0
-    at, cells, rows = 4 + length, [], []
+    at, cells, rows = 4 + length + 9 * header["levels"] * header["leaves"], [], []
     for _ in range(header["cells"]):
         *box, row = np.frombuffer(data, "<u2", 4, at).tolist()
         cells.append((box, row))
@@ -70,7 +87,7 @@ def test_a_cell_needs_the_leaves_that_it_sees(heaps: tuple[Gaussians, Leaves], t
     left, both = leaves.of_ids[0], sorted({int(leaves.of_ids[0]), int(leaves.of_ids[150])})
     with store_of(tmp_path / "s.pvs", g, [np.arange(100), np.arange(200)]) as store:
         needs = find_needs(leaves, store, lost=0.0)
-    header, cells, rows = decode(needs.encode({"name": "heaps"}))
+    header, cells, rows = decode(needs.encode({"name": "heaps"}, plain(2)))
     assert (header["name"], header["leaves"], header["cells"]) == ("heaps", 2, 2)
     assert (header["origin"], header["size"]) == ([-2.0, -1.0, -1.0], 2.0)
     assert [sorted(rows[row]) for _, row in cells] == [[left], both]
@@ -108,20 +125,20 @@ def test_cells_that_agree_share_a_row_and_cells_are_merged_to_fit(
     seen = [np.arange(100)] * 5 + [np.arange(100, 200)] * 3
     with store_of(tmp_path / "s.pvs", g, seen, (2, 2, 2)) as store:
         needs = find_needs(leaves, store)
-    header, cells, rows = decode(needs.encode({}))
+    header, cells, rows = decode(needs.encode({}, plain(2)))
     assert (header["cells"], header["rows"]) == (8, 3)
     assert len({row for _, row in cells}) == 2
-    merged = needs.encode_within({}, 1)
+    merged = needs.encode_within({}, plain(2), 1)
     header, cells, rows = decode(merged)
     assert (header["cells"], header["size"]) == (1, 4.0)
     assert sorted(rows[cells[0][1]]) == [0, 1]  # what any of the cells needs
-    assert needs.encode_within({}, 10_000) == needs.encode({})
+    assert needs.encode_within({}, plain(2), 10_000) == needs.encode({}, plain(2))
 
 
 def test_bytes_of_light_keep_the_order(heaps: tuple[Gaussians, Leaves]) -> None:
     lights = np.array([[8.0, 0.0, 1.0, 1e-30]])
     needs = LeafNeeds(np.zeros(3), 1.0, np.zeros((1, 3), np.int64), lights, np.maximum(lights[0], 1e-9))
-    header, _, rows = decode(needs.encode({}))
+    header, _, rows = decode(needs.encode({}, plain(4)))
     assert rows[1] == {0: 255, 2: 255 - 12, 3: 1}  # four steps an octave, at least 1
     assert header["top"] == 12
     assert sorted(rows[0]) == [0, 1, 2, 3]
@@ -129,8 +146,24 @@ def test_bytes_of_light_keep_the_order(heaps: tuple[Gaussians, Leaves]) -> None:
 
 def test_without_visible_sets_there_is_one_row_for_all(heaps: tuple[Gaussians, Leaves]) -> None:
     _, leaves = heaps
-    header, cells, rows = decode(find_needs(leaves, None).encode({}))
+    header, cells, rows = decode(find_needs(leaves, None).encode({}, plain(2)))
     assert (header["cells"], header["size"], cells) == (0, 0.0, [])
     assert [sorted(row) for row in rows] == [[0, 1]]
     with pytest.raises(ValueError, match="lost"):
         find_needs(leaves, None, lost=1.0)
+
+
+def test_the_table_of_levels_has_splats_bytes_and_errors(heaps: tuple[Gaussians, Leaves]) -> None:
+    _, leaves = heaps
+    counts, sizes = np.array([[100, 100], [7, 0]]), np.array([[9000, 8000], [70000, 0]])
+    table = LevelTable(counts, sizes, np.array([[0.0, 0.0], [0.25, 1.0]]))
+    found = decode_table(find_needs(leaves, None).encode({}, table))
+    assert np.array_equal(found[0], counts)
+    assert np.array_equal(found[1], sizes)
+    assert found[2].tolist() == [[0, 0], [255 - 8, 255]]  # four steps an octave; 0 is no error
+
+
+def test_names_of_files_name_the_scene() -> None:
+    assert scene_sum([]) == 0x811C9DC5
+    assert scene_sum(["a"]) == 0xE40C292C  # FNV-1a of "a"
+    assert scene_sum(["a", "b"]) != scene_sum(["b", "a"])

@@ -1,6 +1,6 @@
 """The page of examples/viewer-three in Chromium: a stream of gsvis drawn by Spark among objects of three.js.
 
-The packages are looked for where `tests.viewer.test_streamed_pages` looks.
+The packages are looked for where `tests.viewer.test_engine_pages` looks.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gsvis.scene.cameras import Cameras
 from tests.serve.servers import PATIENCE, serving
 from tests.stream.worlds import package_of
 from tests.viewer.browser import browser_page, chromium, served, viewer_files
-from tests.viewer.test_streamed_pages import modules
+from tests.viewer.test_engine_pages import modules
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "viewer-three"
 SIZE = {"width": 320, "height": 240}

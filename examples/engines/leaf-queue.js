@@ -1,32 +1,32 @@
-// Loads and shows leaves as the plans of NeededLeaves say, for any player. No dependencies.
+// Loads and shows leaves at the chosen levels, for any player. No dependencies.
 
 /** player: `load(url)` resolves to a thing that is not drawn yet; `show(thing, yes)`; `free(thing)`. */
 export class LeafQueue {
-  /** parallel: files at once. most: Gaussians to hold; beyond it, leaves that a plan hides are freed. */
+  /** parallel: files at once. most: Gaussians to hold; beyond it, leaves that are not chosen are freed. */
   constructor(leaves, player, { parallel = 4, most = Infinity, changed = () => {} } = {}) {
     Object.assign(this, { leaves, player, parallel, most, changed });
     this.running = 0;
     this.failed = [];
     this.steps = [];
-    this.drawn = new Set();
+    this.lods = leaves.map(() => -1);
     this.held = leaves.map(() => new Map()); // level of detail -> thing; null while it loads
   }
 
-  /** Follows a plan: first the coarsest level of what is needed, then the finest, then the coarsest of what may be needed next. */
-  follow({ load, keep, hide }) {
-    this.drawn = new Set(load);
-    this.steps = [];
-    for (const leaf of load) this.steps.push([leaf, this.levels(leaf).at(-1)]);
-    for (const leaf of load) this.steps.push([leaf, this.levels(leaf)[0]]);
-    for (const leaf of keep) this.steps.push([leaf, this.levels(leaf).at(-1)]);
-    for (const leaf of hide) if (this.gaussians > this.most) this.release(leaf);
-    for (let leaf = 0; leaf < this.held.length; leaf++) this.showBest(leaf);
+  /** Follows a choice: `lods` (the level of each leaf, -1: not drawn) and `order` ([leaf, level] to load); then the coarsest level of each of `keep`. */
+  follow({ lods, order, keep = [] }) {
+    this.lods = lods;
+    const may = new Set(keep);
+    this.steps = [...order, ...keep.map((leaf) => [leaf, this.levels(leaf).at(-1)])];
+    for (let leaf = 0; leaf < lods.length; leaf++) {
+      if (lods[leaf] < 0 && !may.has(leaf) && this.gaussians > this.most) this.release(leaf);
+      this.showBest(leaf);
+    }
     this.next();
   }
 
   /** Gaussians in memory, and those of them that are drawn. */
   get gaussians() { return this.count(() => true); }
-  get shown() { return this.count((leaf, lod) => this.drawn.has(leaf) && lod === this.best(leaf)); }
+  get shown() { return this.count((leaf, lod) => lod === this.best(leaf)); }
   get complete() { return this.running === 0 && this.steps.length === 0; }
 
   count(of) {
@@ -38,12 +38,17 @@ export class LeafQueue {
   }
 
   levels(leaf) { return this.leaves[leaf].lods.flatMap((run, lod) => (run ? [lod] : [])); }
-  best(leaf) { return this.levels(leaf).find((lod) => this.held[leaf].get(lod)); }
+
+  /** The level of a leaf to draw: the chosen one, else a coarser one that is there, else a finer one; none for -1. */
+  best(leaf) {
+    const there = this.levels(leaf).filter((lod) => this.held[leaf].get(lod)), chosen = this.lods[leaf];
+    return chosen < 0 ? undefined : there.find((lod) => lod >= chosen) ?? there.at(-1);
+  }
 
   next() {
     while (this.running < this.parallel && this.steps.length) {
-      const [leaf, lod] = this.steps.shift(), things = this.held[leaf];
-      if (this.levels(leaf).some((other) => other <= lod && things.has(other))) continue; // that level, or a finer one
+      const [leaf, lod] = this.steps.shift(), things = this.held[leaf], chosen = this.lods[leaf];
+      if (things.has(lod) || things.has(chosen)) continue; // it is there, or on its way
       things.set(lod, null);
       this.running++;
       this.player.load(this.leaves[leaf].lods[lod].url).then(
@@ -54,13 +59,13 @@ export class LeafQueue {
     this.changed();
   }
 
-  /** Shows the finest level of a leaf that is there, if the leaf is needed, and frees coarser ones. */
+  /** Shows the best level of a leaf, and frees the others once the chosen one is there. */
   showBest(leaf) {
     const best = this.best(leaf), things = this.held[leaf];
     for (const [lod, thing] of [...things]) {
       if (!thing) continue;
-      this.player.show(thing, lod === best && this.drawn.has(leaf));
-      if (lod > best) { this.player.free(thing); things.delete(lod); }
+      this.player.show(thing, lod === best);
+      if (best !== undefined && best === this.lods[leaf] && lod !== best) { this.player.free(thing); things.delete(lod); }
     }
   }
 

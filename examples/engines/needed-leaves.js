@@ -1,8 +1,16 @@
-// Which leaves of a streamed SOG an eye needs, from the sidecar that `gsvis export --format streamed-sog` writes.
+// What a streamed SOG costs and shows, leaf by leaf, from the sidecar that `gsvis export --format streamed-sog` writes.
 // No dependencies. docs/streamed.md describes the sidecar to the byte.
 //
 //   const scene = await NeededLeaves.open("scene/");
 //   const { load, keep, hide } = scene.plan([x, y, z], [dx, dy, dz]);  // numbers of leaves
+
+const ROOTS = [1, 1.189207115002721, 1.4142135623730951, 1.681792830507429]; // written out: the same in every language
+
+/** Returns 2 to the power of so many quarters. */
+export const power = (quarters) => ROOTS[((quarters % 4) + 4) % 4] * 2 ** Math.floor(quarters / 4);
+
+/** Returns the 32-bit FNV-1a sum of the names of all files, which hold hashes of their contents. */
+const sceneSum = (names) => new TextEncoder().encode(names.join("\n")).reduce((sum, byte) => Math.imul(sum ^ byte, 0x01000193) >>> 0, 0x811c9dc5);
 
 /** A streamed scene: its leaves, and what each cell needs. Positions are in the frame of the scene. */
 export class NeededLeaves {
@@ -20,7 +28,7 @@ export class NeededLeaves {
   }
 
   constructor(folder, meta, sidecar) {
-    /** Leaves in the order of the tree: bounds, and for each level of detail its SOG (null: empty), finest first. */
+    /** Leaves in the order of the tree: bounds; for each level of detail, finest first, its SOG (null: empty) and its error. */
     this.leaves = [];
     const walk = (node) => {
       for (const child of node.children ?? []) walk(child);
@@ -30,19 +38,28 @@ export class NeededLeaves {
       const radius = Math.hypot(...center.map((c, k) => max[k] - c));
       const lods = Array.from({ length: meta.lodLevels }, (_, k) => node.lods[k])
         .map((run) => run ? { url: folder + meta.filenames[run.file], count: run.count } : null);
-      this.leaves.push({ min, max, center, radius, lods });
+      this.leaves.push({ min, max, center, radius, lods, errors: [] });
     };
     walk(meta.tree);
     /** Address of the Gaussians that are always drawn, or null. */
     this.environment = meta.environment ? folder + meta.environment : null;
     const view = new DataView(sidecar), length = view.getUint32(0, true);
-    /** What the sidecar says of itself: name, up, poses, leaves, cells, rows, origin, size, top. */
+    /** What the sidecar says of itself: name, up, poses, leaves, levels, absent, cells, rows, origin, size, top. */
     this.header = JSON.parse(new TextDecoder().decode(new Uint8Array(sidecar, 4, length)));
-    const { format, version, leaves, cells, rows } = this.header;
-    if (format !== "gsvis-leaves" || version !== 1) throw new Error(`a sidecar of ${format} ${version}, not gsvis-leaves 1`);
-    if (leaves !== this.leaves.length) throw new Error(`a sidecar of ${leaves} leaves beside ${this.leaves.length}`);
+    const { format, version, scene, leaves, levels, cells, rows } = this.header;
+    if (format !== "gsvis-leaves" || version !== 2) throw new Error(`a sidecar of ${format} ${version}, not gsvis-leaves 2: export the scene again`);
+    if (leaves !== this.leaves.length || levels !== meta.lodLevels || scene !== sceneSum(meta.filenames)) {
+      throw new Error(`a sidecar of another scene: export the scene and its sidecar together`);
+    }
     this.cells = new Map();
     let at = 4 + length;
+    for (let k = 0; k < levels * leaves; k++) {
+      const leaf = this.leaves[k % leaves], lod = Math.floor(k / leaves), byte = view.getUint8(at + 8 * levels * leaves + k);
+      if (view.getUint32(at + 4 * k, true) !== (leaf.lods[lod]?.count ?? 0)) throw new Error("a sidecar of another scene: counts differ");
+      leaf.errors[lod] = byte && power(byte - 255);
+      if (leaf.lods[lod]) leaf.lods[lod].bytes = view.getUint32(at + 4 * (levels * leaves + k), true);
+    }
+    at += 9 * levels * leaves;
     for (let k = 0; k < cells; k++, at += 8) {
       const [x, y, z, row] = [0, 2, 4, 6].map((byte) => view.getUint16(at + byte, true));
       this.cells.set(`${x},${y},${z}`, { box: [x, y, z], row });

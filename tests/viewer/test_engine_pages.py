@@ -1,6 +1,6 @@
-"""The pages of examples/streamed in Chromium, with the players from npm, and splat-transform on what they show.
+"""The pages of examples/engines in Chromium, with the players from npm, and splat-transform on what they show.
 
-The packages are looked for in examples/streamed/node_modules, or where GSVIS_STREAMED_MODULES says.
+The packages are looked for in examples/engines/node_modules, or where GSVIS_STREAMED_MODULES says.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tests.package.worlds import levels_of
 from tests.serve.servers import PATIENCE
 from tests.viewer.browser import browser_page, chromium, served
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "streamed"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "engines"
 SIZE = {"width": 320, "height": 240}
 LEFT, RIGHT = "eye=-1,0,0&target=-10,0,0", "eye=1,0,0&target=-10,0,0"
 
@@ -37,7 +37,7 @@ def modules(*packages: str) -> Path:
     folder = Path(os.environ.get("GSVIS_STREAMED_MODULES", EXAMPLE / "node_modules"))
     missing = [name for name in packages if not (folder / name / "package.json").is_file()]
     if missing:
-        remedy = "run npm install in examples/streamed; splat-transform needs @playcanvas/splat-transform@3.7 there"
+        remedy = "run npm install in examples/engines; splat-transform needs @playcanvas/splat-transform@3.7 there"
         pytest.skip(f"no {missing[0]} in {folder}: {remedy}")
     return folder
 
@@ -82,6 +82,16 @@ def test_a_page_draws_what_the_cell_needs(name: str, packages: tuple[str, ...], 
         page.wait_for_function(ready, arg="1,0,0", timeout=1000 * PATIENCE)
         page.keyboard.up("KeyS")
         assert page.evaluate("[streamed.needed, streamed.drawn]") == [2, 400]
+        assert said == []
+
+
+def test_a_budget_is_kept_and_the_brighter_leaf_is_drawn(scene: Path, tmp_path: Path) -> None:
+    with page_of("playcanvas.html", tmp_path, scene, f"splats=250&{RIGHT}", "playcanvas") as (page, said):
+        ready = "() => globalThis.streamed?.complete && streamed.drawn > 0"
+        page.wait_for_function(ready, timeout=1000 * PATIENCE)
+        state = page.evaluate("globalThis.streamed")
+        assert (state["needed"], state["drawn"], state["failed"]) == (2, 200, [])
+        assert sorted(state["lods"]) == [-1, 0]
         assert said == []
 
 

@@ -1,0 +1,88 @@
+"""Measure the error of each leaf at each level of detail, by drawing the scene around some eyes.
+
+An error is the mean squared difference of colors, in [0, 1], over what the leaf covers: in the unit of 1 - PSNR, so it
+adds up over leaves when it is multiplied with their light. It counts what is seen alone. This module knows no file.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis.export.leaves import Leaves
+from gsvis.progress import Progress, silent
+from gsvis.render import rasterize
+from gsvis.render.weights import share_out
+from gsvis.scene.cameras import Cameras
+
+__all__ = ["EYES", "measure_errors", "pick_eyes"]
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+EYES = 16
+"""Largest number of eyes around which levels are drawn."""
+
+_LITTLE = 0.01  # gain of a cell, as a share of all leaves, below which no more are added
+_SIDE = 192  # pixels of a face of the cube around an eye
+
+
+def pick_eyes(lights: F64, most: int = EYES) -> I64:
+    """Return the cells from which every leaf is seen well: one by one, the cell that adds most.
+
+    Args:
+        lights: (K, B) light of each leaf in each cell.
+        most: Largest number of cells.
+    """
+    best = lights.max(axis=0, initial=0.0)
+    shares = lights / np.where(best > 0.0, best, 1.0)
+    covered = np.zeros(lights.shape[1])
+    picked: list[int] = []
+    for _ in range(min(most, len(lights))):
+        gains = np.maximum(shares - covered, 0.0).sum(axis=1)
+        cell = int(gains.argmax())
+        if gains[cell] <= _LITTLE * lights.shape[1]:
+            break
+        picked.append(cell)
+        covered = np.maximum(covered, shares[cell])
+    return np.array(picked, np.int64)
+
+
+def measure_errors(leaves: Leaves, eyes: ArrayLike, progress: Progress = silent) -> F64:
+    """Return the error of each leaf at each level of detail.
+
+    Each level is drawn as a whole around each eye. The squared difference from the finest level is shared out to the
+    leaves that cover a pixel at the finest level.
+
+    Args:
+        leaves: B leaves of L levels.
+        eyes: (E, 3) eyes, scene frame.
+        progress: Called with stage "errors", in eyes.
+
+    Returns:
+        (L, B) mean squared difference of colors from the finest level, in [0, 1]; row 0 is 0. A leaf that no eye sees
+        has the mean error of its level.
+    """
+    count = len(leaves)
+    levels = len(leaves.counts)
+    errors = np.zeros((levels, count))
+    around = np.asarray(eyes, np.float64).reshape(-1, 3)
+    if levels == 1 or not len(around):
+        return errors
+    top = len(leaves.levels) - 1
+    scenes = [leaves.levels.level(top - lod) for lod in range(levels)]
+    owners = leaves.of_ids[leaves.levels.member(top)]
+    inside = owners >= 0
+    weights = np.zeros(count)
+    progress("errors", 0, len(around))
+    for k, eye in enumerate(around):
+        for camera in Cameras.cubemap(eye[None], _SIDE):
+            drawn = [np.clip(rasterize(scene, camera).images[0], 0.0, 1.0) for scene in scenes]
+            apart = [np.square(image - drawn[0]).mean(axis=-1) for image in drawn]
+            shares, seen = share_out(scenes[0], camera, np.stack(apart, axis=-1))
+            for lod in range(1, levels):
+                errors[lod] += np.bincount(owners[inside], shares[inside, lod], minlength=count)
+            weights += np.bincount(owners[inside], seen[inside], minlength=count)
+        progress("errors", k + 1, len(around))
+    means = errors.sum(axis=1, keepdims=True) / max(float(weights.sum()), 1e-300)
+    return np.where(weights > 0.0, errors / np.where(weights > 0.0, weights, 1.0), means)

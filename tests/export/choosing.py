@@ -1,0 +1,113 @@
+"""The choice of levels in plain Python, as examples/engines/level-choice.js makes it, and cases for both.
+
+python -m tests.export.choosing --write     # after a change of what is chosen
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+CASES = Path(__file__).with_name("level_choice.json")
+ROOTS = (1.0, 1.189207115002721, 1.4142135623730951, 1.681792830507429)
+Step = tuple[int, int]
+
+
+def power(quarters: int) -> float:
+    """Return 2 to the power of so many quarters, bit for bit as the program does."""
+    return float(ROOTS[quarters % 4] * 2.0 ** (quarters // 4))
+
+
+def choose(case: dict[str, Any]) -> tuple[list[int], int]:
+    """Return the level of each leaf within the splats of a case, -1 for not drawn, and the splats."""
+    lods = [-1] * len(case["lights"])
+    splats = 0
+    for leaf, lod, paid in steps(case, "counts", case["splats"], [0] * len(lods)):
+        lods[leaf] = lod
+        splats += paid
+    return lods, splats
+
+
+def order(case: dict[str, Any], lods: list[int]) -> list[Step]:
+    """Return the files in the order to load, within the bytes of a case."""
+    return [(leaf, lod) for leaf, lod, _ in steps(case, "bytes", case["most_bytes"], lods)]
+
+
+def steps(case: dict[str, Any], unit: str, left: float, last: list[int]) -> list[tuple[int, int, int]]:
+    """Take one step after the other: of all that fit, the one that removes most error for its cost."""
+    at = [-1] * len(case["lights"])
+    taken = []
+    while True:
+        best: tuple[float, int, int, int] | None = None
+        for leaf, byte in enumerate(case["lights"]):
+            own = best_step(case, leaf, byte, at[leaf], unit, left, last[leaf])
+            if own is not None and (best is None or own[0] > best[0]):
+                best = own
+        if best is None:
+            return taken
+        _, leaf, lod, paid = best
+        left -= paid
+        at[leaf] = lod
+        taken.append((leaf, lod, paid))
+
+
+def best_step(
+    case: dict[str, Any], leaf: int, byte: int, at: int, unit: str, left: float, last: int
+) -> tuple[float, int, int, int] | None:
+    """Return (gain, leaf, level, cost) of the best step of one leaf that fits."""
+    if byte == 0 or last < 0:
+        return None
+    costs = case[unit][leaf]
+    now = error(case, leaf, at)
+    best: tuple[float, int, int, int] | None = None
+    for lod in range((len(costs) if at < 0 else at) - 1, last - 1, -1):
+        if case["counts"][leaf][lod] == 0 or error(case, leaf, lod) >= now:
+            continue
+        paid = costs[lod] - (costs[at] if at >= 0 and unit == "counts" else 0)
+        gain = power(byte - 255) * (now - error(case, leaf, lod)) / max(paid, 1)
+        if paid <= left and (best is None or gain > best[0]):
+            best = (gain, leaf, lod, paid)
+    return best
+
+
+def error(case: dict[str, Any], leaf: int, lod: int) -> float:
+    """Return the error of a leaf at a level, -1 for not drawn."""
+    byte = int(case["errors"][leaf][lod])
+    if lod < 0:
+        return float(case["absent"])
+    return power(byte - 255) if byte else 0.0
+
+
+def make_case(seed: int) -> dict[str, Any]:
+    """Return a random case: leaves with levels, some of them missing, and budgets for a part of them."""
+    rng = np.random.default_rng(seed)
+    leaves, levels = int(rng.integers(1, 12)), int(rng.integers(1, 5))
+    finest = rng.integers(50, 8000, leaves)
+    counts = np.maximum(finest[:, None] // 3 ** np.arange(levels), 1)
+    counts[rng.random(counts.shape) < 0.1] = 0
+    errors = np.minimum(255, rng.integers(120, 200, leaves)[:, None] + rng.integers(4, 16, levels).cumsum())
+    errors[:, 0] = 0
+    return {
+        "absent": 0.125,
+        "lights": (rng.integers(1, 255, leaves) * (rng.random(leaves) < 0.8)).tolist(),
+        "counts": counts.tolist(),
+        "bytes": (counts * 9 + (counts > 0) * 800).tolist(),
+        "errors": (errors * (counts > 0)).tolist(),
+        "splats": int(rng.uniform(0.1, 1.2) * finest.sum()),
+        "most_bytes": int(rng.uniform(0.1, 1.2) * 9 * finest.sum()),
+    }
+
+
+def solved(case: dict[str, Any]) -> dict[str, Any]:
+    """Return a case with what is to be chosen."""
+    lods, splats = choose(case)
+    return {**case, "lods": lods, "drawn": splats, "order": [list(step) for step in order(case, lods)]}
+
+
+if __name__ == "__main__" and sys.argv[1:] == ["--write"]:
+    lines = ",\n".join(json.dumps(solved(make_case(seed))) for seed in range(24))
+    CASES.write_text(f"[\n{lines}\n]\n")
