@@ -8,20 +8,21 @@
 import { power } from "./needed-leaves.js";
 
 const BEHIND = 1 / 16; // worth of a leaf that is not in the view
+const BESIDE = 1 / 64, ELSEWHERE = 1 / 4096; // worth of light in neighboring cells, and in any cell, where a budget is to be filled
 
 /** Returns the worth of each leaf: its light, the largest of all views.
  *
  * A view has a `position` and, optionally, a `forward` direction and a `weight` (1): several cameras are several views,
- * a look ahead is a view from where the camera will be, with a smaller weight. */
-export function leafLights(scene, views) {
+ * a look ahead is a view from where the camera will be, with a smaller weight. `fill`: what the cell does not see has a little worth, too. */
+export function leafLights(scene, views, fill = false) {
   const lights = new Float64Array(scene.leaves.length);
   for (const { position, forward = null, weight = 1 } of views) {
-    const row = scene.rows[scene.cellAt(position)?.row ?? 0];
-    row.forEach((byte, leaf) => {
-      if (!byte) return;
-      const near = !forward || scene.ahead(leaf, position, forward) ? 1 : BEHIND;
-      lights[leaf] = Math.max(lights[leaf], weight * near * power(byte - 255));
-    });
+    const cell = scene.cellAt(position), parts = [[cell?.row ?? 0, weight]];
+    if (fill) parts.push(...(cell ? scene.neighbors(cell) : []).map(({ row }) => [row, weight * BESIDE]), [0, weight * ELSEWHERE]);
+    const near = scene.leaves.map((_, leaf) => (!forward || scene.ahead(leaf, position, forward) ? 1 : BEHIND));
+    for (const [row, share] of parts) {
+      scene.rows[row].forEach((byte, leaf) => { if (byte) lights[leaf] = Math.max(lights[leaf], share * near[leaf] * power(byte - 255)); });
+    }
   }
   return lights;
 }
@@ -64,12 +65,14 @@ function* takeSteps(scene, lights, budget, rules) {
   }
 }
 
-/** Returns the level of each leaf (-1: do not draw it) so that at most so many splats are drawn, and their number. */
-export function chooseLevels(scene, views, most = Infinity) {
+/** Returns the level of each leaf (-1: do not draw it) so that at most so many splats are drawn, and their number.
+ *
+ * `fill` spends what is left of the budget on leaves that the cell does not see: they show where its visible set misses something. */
+export function chooseLevels(scene, views, most = Infinity, { fill = false } = {}) {
   const lods = new Int8Array(scene.leaves.length).fill(-1);
   const rules = { cost: (to, from) => to.count - (from?.count ?? 0), last: () => 0 };
   let splats = 0;
-  for (const { leaf, lod, paid } of takeSteps(scene, leafLights(scene, views), most, rules)) {
+  for (const { leaf, lod, paid } of takeSteps(scene, leafLights(scene, views, fill), most, rules)) {
     lods[leaf] = lod;
     splats += paid;
   }
@@ -77,7 +80,7 @@ export function chooseLevels(scene, views, most = Infinity) {
 }
 
 /** Returns [leaf, level] in the order to load, up to the chosen levels: most error removed per byte first, until so many bytes. */
-export function loadOrder(scene, views, lods, most = Infinity) {
+export function loadOrder(scene, views, lods, most = Infinity, { fill = false } = {}) {
   const rules = { cost: (to) => to.bytes, last: (leaf) => (lods[leaf] < 0 ? Infinity : lods[leaf]) };
-  return [...takeSteps(scene, leafLights(scene, views), most, rules)].map(({ leaf, lod }) => [leaf, lod]);
+  return [...takeSteps(scene, leafLights(scene, views, fill), most, rules)].map(({ leaf, lod }) => [leaf, lod]);
 }

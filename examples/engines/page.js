@@ -21,7 +21,7 @@ export async function runScene(canvas, player) {
     globalThis.streamed = state;
     line.textContent = queue.failed[0] ?? `${state.needed} of ${all} leaves needed here, ${state.drawn.toLocaleString("en")} Gaussians drawn`;
   };
-  const budget = Number(asked.get("splats") ?? 1e6);
+  const budget = Number(asked.get("splats") ?? 1e6), options = { fill: asked.has("fill") };
   const queue = new LeafQueue(scene.leaves, player, { most: Number(asked.get("most") ?? 2e6), changed: say });
   const frame = (seconds) => {
     const target = walk.step(seconds), now = [...walk.position, ...walk.forward];
@@ -30,8 +30,8 @@ export async function runScene(canvas, player) {
       const views = [{ position: walk.position, forward: walk.forward }];
       if (before) views.push({ position: walk.position.map((p, k) => 2 * p - before[k]), forward: walk.forward, weight: 0.25 }); // a look ahead
       before = walk.position;
-      const { lods } = chooseLevels(scene, views, budget);
-      plan = { ...scene.plan(walk.position, walk.forward), lods, order: loadOrder(scene, views, lods) };
+      const { lods } = chooseLevels(scene, views, budget, options);
+      plan = { ...scene.plan(walk.position, walk.forward), lods, order: loadOrder(scene, views, lods, Infinity, options) };
       queue.follow(plan);
     }
     return target;

@@ -76,7 +76,8 @@ def measure_errors(leaves: Leaves, eyes: ArrayLike, progress: Progress = silent)
     weights = np.zeros(count)
     progress("errors", 0, len(around))
     for k, eye in enumerate(around):
-        for camera in Cameras.cubemap(eye[None], _SIDE):
+        faces = Cameras.cubemap(eye[None], _SIDE)
+        for camera in (faces[c] for c in range(len(faces))):
             drawn = [np.clip(rasterize(scene, camera).images[0], 0.0, 1.0) for scene in scenes]
             apart = [np.square(image - drawn[0]).mean(axis=-1) for image in drawn]
             shares, seen = share_out(scenes[0], camera, np.stack(apart, axis=-1))

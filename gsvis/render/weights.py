@@ -174,7 +174,7 @@ def _weigh_pairs(view: View, projected: Projected) -> F32:
 def _met(projected: Projected) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the ids of the Gaussians with a pair, and the first pair of each: reduceat needs non-empty ranges."""
     met = np.flatnonzero(np.diff(projected.first_pair))
-    return projected.ids[projected.order[met]], projected.first_pair[met]
+    return projected.ids[projected.order[met]].astype(np.int64), projected.first_pair[met]
 
 
 def _project(g: Gaussians, camera: Cameras, antialiased: bool | None) -> tuple[View, Projected]:

@@ -27,13 +27,15 @@ const found = JSON.parse(readFileSync(process.argv[2], "utf8")).map((c) => {
   const leaves = c.counts.map((_, k) => ({ lods: lods(k), errors: errors(k) }));
   const rows = [c.lights, c.lights.map(() => 255)];
   const ahead = (leaf) => (leaf === 0 ? 256 : 0);
-  const scene = { leaves, rows, ahead, header: { absent: c.absent }, cellAt: ([x]) => ({ row: x }) };
+  const scene = { leaves, rows, ahead, header: { absent: c.absent }, cellAt: ([x]) => ({ row: x }),
+    neighbors: () => [{ row: 1 }] };
   const views = [{ position: [0, 0, 0] }], chosen = chooseLevels(scene, views, c.splats);
   const all = chooseLevels(scene, views);
   const turned = leafLights(scene, [{ position: [0, 0, 0], forward: [1, 0, 0] }]);
   const two = leafLights(scene, [...views, { position: [1, 0, 0], weight: 0.5 }]);
   return { lods: [...chosen.lods], drawn: chosen.splats, order: loadOrder(scene, views, chosen.lods, c.most_bytes),
-    all: [...all.lods], once: [...leafLights(scene, views)], turned: [...turned], two: [...two] };
+    all: [...all.lods], once: [...leafLights(scene, views)], turned: [...turned], two: [...two],
+    filled: [...leafLights(scene, views, true)] };
 });
 console.log(JSON.stringify(found));
 """
@@ -90,6 +92,7 @@ def test_levels_are_chosen_as_the_reference_chooses(tmp_path: Path) -> None:
         lit = np.array(found["once"])
         ahead = np.where(np.arange(len(lit)) == 0, 1.0, 1 / 16)  # the first leaf alone is in the view
         assert found["turned"] == (lit * ahead).tolist()
+        assert found["filled"] == np.maximum(lit, 1 / 64).tolist()  # a neighbor sees all brightly
         assert found["two"] == np.maximum(lit, 0.5).tolist()  # a second view, of half the weight, sees all brightly
 
 
