@@ -77,6 +77,7 @@ _SAID = {
     "judge": "checking the sets by other eyes",
     "package": "writing the package",
     "sets": "writing what cells see",
+    "errors": "measuring errors of levels",
     "export": "writing the export",
     "certificate": "certifying by rays",
     "held_out": "drawing views before and after",
