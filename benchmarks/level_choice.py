@@ -4,7 +4,8 @@ A streamed SOG of showroom: LOD 2 (1.5 million Gaussians), LOD 3, and LOD 3 merg
 `examples/engines/level-choice.js`, run by node on the written files, with position and direction, and with `fill` where
 there is a budget. The engine: the choice of PlayCanvas' engine 2.23 with its defaults, as its source has it
 (`gsplat-budget-balancer.js`, mode "target"): the coarsest level of every leaf, then finer levels by distance, each
-level three times as far as the one before, until the budget is full. Pictures are drawn by `rasterize` from the chosen leaves and levels, not by the engine.
+level three times as far as the one before, until the budget is full. Pictures are drawn by `rasterize` from the chosen
+leaves and levels, not by the engine.
 
 Given: the scene, its visible sets (built with --work, or found there; 80 cells, cubemaps of 256 pixels), and two
     recorded walks (EyeNavGS `room`, users 110 and 119), retargeted by a similarity; 20 eyes evenly spaced in time on
@@ -41,6 +42,7 @@ from gsvis.scene.paths import HeadPath
 from gsvis.train.merge import merge_gaussians
 
 FIRST = 35.0
+EVEN = 50.0  # dB from which two pictures look the same
 MERGED = 190_000
 FINER = 3.0  # `lodMultiplier` of the engine: a level is used up to so many times the distance of the one before
 CHOICE = """
@@ -227,10 +229,14 @@ def figures_of(rows: list[dict[str, Any]], budgets: list[int]) -> list[dict[str,
     for splats in budgets:
         ahead = np.array([row[f"db_ours_{splats}"] - row[f"db_engine_{splats}"] for row in rows])
         ours = np.array([row[f"db_ours_{splats}"] for row in rows])
+        engine = np.array([row[f"db_engine_{splats}"] for row in rows])
+        even = np.minimum(ours, EVEN) - np.minimum(engine, EVEN)
         spent = max(row[f"splats_ours_{splats}"] / row[f"splats_engine_{splats}"] for row in rows)
         out += [
             (f"{splats:,} splats: mean dB above the engine's choice", 2.0, float(ahead.mean()), "dB", "higher"),
             (f"{splats:,} splats: worst eye, dB above the engine's choice", -0.3, float(ahead.min()), "dB", "higher"),
+            (f"{splats:,} splats: the same, dB counted up to {EVEN:g}, mean", None, float(even.mean()), "dB", "higher"),
+            (f"{splats:,} splats: the same, worst eye", None, float(even.min()), "dB", "higher"),
             (f"{splats:,} splats: worst eye of ours", None, float(ours.min()), "dB", "higher"),
             (f"{splats:,} splats: most splats of ours, of the engine's", 1.0, spent, "share", "lower"),
         ]

@@ -195,6 +195,7 @@ PAGES = {
             "static_site_nika",
             "streamed_sog",
             "streamed_sog_nika",
+            "level_choice",
             "tiles",
             "tiles_valid",
         ),
