@@ -1,12 +1,12 @@
 """How many seconds until a view is good: a static site in a browser, at delays of 10 to 100 ms, 10 and 30 Mbit/s?
 
 A host of files (`_slow_host.py`) gives each visitor a delay, by which is meant a round trip, and a rate. The browser is
-Debian's Chromium without a GPU, or Firefox ESR; each visit has an empty cache. What has come is taken from the page's
+Debian's Chromium without a GPU, or Firefox ESR; each visit has an empty cache, in a window that stands open. What has come is taken from the page's
 own Worker, with its time since navigation, and drawn here: the images are those of the page without the time that this
 machine, which has no GPU, would need to draw. Page, scripts and tables count; the site is opened at its first view, and
 at eyes within cells.
 
-Given: a package with visible sets (--package), --eyes eyes drawn by --seed.
+Given: a package with visible sets (--package), --eyes eyes drawn by --seed, --visits visits at each.
 Measured: seconds from navigation until the image of what has come reaches 20 and 35 dB against all that the
     package holds in its highest level, 320 x 180, 65 degrees high; requests and bytes until 35 dB, those of the page
     among them.
@@ -83,9 +83,11 @@ def spell(point: Iterable[float]) -> str:
     return ",".join(f"{x:.6f}" for x in point)
 
 
-def visit(browser: Any, host: Host, eye: Eye, at: str, ids: np.ndarray, contents: Any) -> dict[str, Any]:
-    """Seconds to each target, and bytes and requests until the last."""
-    steps = browser(host.url + at, _WATCH, LONGEST)
+def visit(
+    browser: Any, host: Host, eye: Eye, at: str, ids: np.ndarray, contents: Any, link: tuple[float, float]
+) -> dict[str, Any]:
+    """Seconds to each target over a link of a delay and bytes a second, and bytes and requests until the last."""
+    steps = browser(host.url + at, _WATCH, LONGEST, lambda: host.begin(*link))
     name_arrivals(steps, ids, contents)
     row: dict[str, Any] = {str(target): seconds_until(eye, steps, target) for target in TARGETS}
     end = row[str(TARGETS[-1])] or LONGEST
@@ -99,6 +101,7 @@ def main() -> None:
     parser.add_argument("--package", required=True, help="folder of a package with visible sets")
     parser.add_argument("--browsers", nargs="+", default=["chromium"], help="chromium, firefox")
     parser.add_argument("--eyes", type=int, default=4)
+    parser.add_argument("--visits", type=int, default=3, help="visits at each eye")
     parser.add_argument("--seed", type=int, default=21)
     parser.add_argument("--delays", type=float, nargs="+", default=DELAYS)
     parser.add_argument("--rates", type=float, nargs="+", default=RATES)
@@ -118,17 +121,17 @@ def main() -> None:
         with slow_host(Path(site.path)) as host:
             for name in args.browsers:
                 with visits(name) as browser:
-                    host.begin(0.0, 1e9)
-                    browser(host.url, _WATCH, 3.0)  # warms the machine up, not the cache
+                    # warms the machine up, not the cache
+                    browser(host.url, _WATCH, 3.0, lambda: host.begin(0.0, 1e9))
                     for delay in args.delays:
                         for rate in args.rates:
                             for place, views in places:
                                 found = []
-                                for view in views:
+                                for view in views * args.visits:
                                     eye = Eye(contents, evaluator, camera_of(view["pose"], SIZE, WIDE))
                                     at = "" if place == "first view" else address(view["pose"])
-                                    host.begin(delay, 125e3 * rate)
-                                    row = visit(browser, host, eye, at, ids, contents)
+                                    link = delay, 125e3 * rate
+                                    row = visit(browser, host, eye, at, ids, contents, link)
                                     found.append(row)
                                     rows.append({"browser": name, "delay": delay, "rate": rate, "place": place, **row})
                                     print(rows[-1], flush=True)

@@ -53,6 +53,7 @@ VIEWER = Path(__file__).parents[1] / "viewer"
 PAGE = "index.html"
 SETTINGS = "settings.json"
 FOLDER = "scene"
+_STYLE = '<link rel="stylesheet"'
 _EMPTY = '<main class="scene">'
 
 _PARTS = ("embed.js", "hotspots.js", "tour.js")  # loaded when used; a page in one file holds them
@@ -68,6 +69,18 @@ _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:;"
     " worker-src 'self'; base-uri 'none'; form-action 'none'"
 )
+
+_EARLY = """(() => {
+if (/[?&]content=/.test(location.search)) return;
+try {
+const base = new URL("%(folder)s/", location.href).href;
+const worker = new Worker("viewer/static.js", { type: "module", name: "gsvis static" });
+worker.onerror = () => { globalThis.gsvisEarly = null; };
+worker.postMessage({ kind: "ahead", base, names: location.hash.length > 1 ? ["%(scene)s"] : %(names)s });
+globalThis.gsvisEarly = { base, worker };
+} catch {}
+})();"""
+"""Start the Worker of the scene before the scripts of the page are here, and ask for what the first view needs."""
 
 _START = """(() => {
 const own = {};
@@ -144,22 +157,36 @@ def write_site(
         (partial / "viewer").mkdir()
         for name in ("page.css", *_SCRIPTS):
             (partial / "viewer" / name).write_bytes(files[name])
-        if shown.settings is not None or not _has_settings_to_keep(target, document["name"]):
+        keeps = shown.settings is None and _has_settings_to_keep(target, document["name"])
+        is_own = shown.settings is None and not keeps  # then visitors begin at the first view of the scene
+        if not keeps:
             (partial / SETTINGS).write_bytes(_chosen_settings(shown, document))
         pictures = dict(shown.pictures())
         for name, data in pictures.items():
             (partial / name).write_bytes(data)
-        policy = f"{_POLICY}; connect-src {connect_sources(origins)}"
+        names = [SCENE, *(found.ahead if is_own else ())]
+        early = _EARLY % {"folder": FOLDER, "scene": SCENE, "names": json.dumps(names)}
+        own = _POLICY.replace("script-src 'self'", f"script-src 'self' {_hash(early)}")
+        policy = f"{own}; connect-src {connect_sources(origins)}"
         metas = {"gsvis-content": f"{FOLDER}/", "gsvis-settings": SETTINGS}
         if origins:
             metas["gsvis-origins"] = " ".join(origins)
         text = _page(files["view.html"].decode(), document, metas, policy, shown)
         text = text.replace(_EMPTY, _EMPTY + shown.poster_element(inside=False))
+        text = text.replace(_STYLE, "\n    ".join([f"<script>{early}</script>", *_preloads(found), _STYLE]), 1)
         (partial / PAGE).write_text(text.replace("../viewer/", "viewer/"), encoding="utf-8")
     found = replace(found, path=target / FOLDER)
     remove_other_files(found)
     names = [PAGE, SETTINGS, *pictures, f"{FOLDER}/{SCENE}", *(f"viewer/{name}" for name in ("page.css", *_SCRIPTS))]
     return SiteReport(target, found, found.nbytes + sum((target / name).stat().st_size for name in names))
+
+
+def _preloads(scene: StaticScene) -> list[str]:
+    """Return elements that ask for the files that the page itself reads before it shows the scene."""
+    names = [f"{FOLDER}/{SCENE}", SETTINGS]
+    if "facts" in scene.files:
+        names.append(f"{FOLDER}/{scene.files['facts'].names[0]}")
+    return [f'<link rel="preload" as="fetch" crossorigin="anonymous" href="{name}">' for name in names]
 
 
 def check_site(folder: str | PathLike[str], overwrite: bool) -> None:

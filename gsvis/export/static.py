@@ -133,6 +133,7 @@ class StaticScene:
         parts: Number of parts.
         cells: Number of cells, 1 without visible sets.
         sh_degree: Degree of the harmonics, 0 for a package.
+        ahead: Names of the files that the first view needs, in the order of need.
     """
 
     path: Path
@@ -142,6 +143,7 @@ class StaticScene:
     parts: int
     cells: int
     sh_degree: int
+    ahead: tuple[str, ...] = ()
 
     @property
     def nbytes(self) -> int:
@@ -199,10 +201,27 @@ def write_static(
         partial.write_bytes(json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False).encode())
     degree = 0 if content.info.harmonics is None else content.info.harmonics["degree"]
     found = StaticScene(
-        target, files, document["gaussians"], document["terms"], len(counts), document["cells"]["count"], degree
+        target,
+        files,
+        document["gaussians"],
+        document["terms"],
+        len(counts),
+        document["cells"]["count"],
+        degree,
+        _ahead(content, files),
     )
     remove_other_files(found)
     return found
+
+
+def _ahead(content: _Content, files: dict[str, StaticFile]) -> tuple[str, ...]:
+    """Return the names of the files that the first view needs: its own, the tables, and the row of its cell."""
+    grid = content.cells.grid
+    first = content.info.first
+    if not first or grid is None:
+        return files["index"].names + files["grid"].names + files["row"].names[:1]
+    cell = int(grid.nearest(np.array(first[0].position)))
+    return files["first"].names[:1] + files["index"].names + files["grid"].names + (files["row"].names[cell],)
 
 
 def check_target(target: Path) -> None:

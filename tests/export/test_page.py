@@ -15,6 +15,7 @@ import pytest
 from gsvis.errors import BackendError
 from gsvis.export import StaticOptions, write_html, write_site, write_static
 from gsvis.export.page import check_site
+from gsvis.export.publish import PageOptions
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import random_scene
 from tests.export.test_static import Reader
@@ -67,9 +68,11 @@ def test_a_site_has_the_page_its_scripts_and_the_scene(viewer: Path, scene: Gaus
         "settings.json",
     )
     scripts = [(a.get("src"), text.strip()) for tag, a, text in page.found if tag == "script"]
-    assert scripts == [("viewer/page.js", "")]
+    (_, early), last = scripts
+    assert last == ("viewer/page.js", "")
     rules = [rule.split() for rule in str(metas["Content-Security-Policy"]).split(";")]
-    assert ["script-src", "'self'"] in rules
+    digest = base64.b64encode(hashlib.sha256(early.encode()).digest()).decode()
+    assert ["script-src", "'self'", f"'sha256-{digest}'"] in rules
     assert ["connect-src", "'self'"] in rules
     for name in ("page.js", "sort.js", "static.js", "page.css"):
         assert (tmp_path / "site" / "viewer" / name).read_bytes() == (viewer / name).read_bytes()
@@ -78,6 +81,25 @@ def test_a_site_has_the_page_its_scripts_and_the_scene(viewer: Path, scene: Gaus
     pose, view = Reader(tmp_path / "site" / "scene").scene["poses"][0], settings["cameras"][0]["initial"]
     assert (settings["frame"], view["position"]) == ("scene", pose["position"])
     assert np.linalg.norm(np.array(view["target"]) - view["position"]) > 0.1
+
+
+def test_a_page_asks_early_for_files_that_are_there(viewer: Path, scene: Gaussians, tmp_path: Path) -> None:
+    write_site(tmp_path / "site", scene, viewer=viewer)
+    text = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
+    (names,) = re.findall(r'\["scene.json"\] : (\[.*?\])', text)
+    links = re.findall(r'<link rel="preload"[^>]* href="([^"]+)"', text)
+    assert len(json.loads(names)) == 4
+    assert [name for name in json.loads(names) if not (tmp_path / "site" / "scene" / name).is_file()] == []
+    assert [name for name in links if not (tmp_path / "site" / name).is_file()] == []
+
+
+def test_a_page_with_views_of_its_own_asks_early_for_the_scene_alone(
+    viewer: Path, scene: Gaussians, tmp_path: Path
+) -> None:
+    settings = tmp_path / "mine.json"
+    settings.write_text('{"version": 2, "cameras": []}', encoding="utf-8")
+    write_site(tmp_path / "site", scene, viewer=viewer, page=PageOptions(settings=settings))
+    assert '["scene.json"] : ["scene.json"] }' in (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("scale", [1e-3, 2.0**-20, 1e3])

@@ -216,6 +216,35 @@ test("a first view is read while it comes, by one request before any part", asyn
   check(scene, client.batches);
 });
 
+test("files asked for ahead are asked for once, and one of another view is dropped", async (t) => {
+  const scene = VECTOR.package, { said } = await open(scene), { position, rotation } = said.first[0].pose;
+  const names = ["scene.json", ...["index", "grid", "first"].map((kind) => said.files.get(kind)!.name)];
+  names[3] += "-0.bin";
+  for (const turned of [false, true]) {
+    const { url, asked } = await serve(t, filesOf(scene)), client = new Client(t, url), [w, x, y, z] = rotation;
+    client.host.ahead(names);
+    client.look(position, turned ? [x, w, z, y] : rotation);
+    await client.host.start();
+    await client.until(() => client.ids.length === scene.records.length && client.complete());
+    check(scene, client.batches);
+    for (const name of names) assert.equal(asked.filter((each) => each.startsWith(name)).length, 1, name);
+  }
+});
+
+test("a file asked for ahead that does not come is asked for again", async (t) => {
+  const scene = VECTOR.package, lost = new Set(["scene.json"]), { url, asked } = await serve(t, filesOf(scene), (name, _, request) => {
+    if (!lost.delete(name)) return false;
+    request.socket.destroy();
+    return true;
+  });
+  const client = new Client(t, url);
+  client.host.ahead(["scene.json"]);
+  client.look(scene.centers![0]);
+  await client.host.start();
+  await client.until(() => client.ids.length === scene.records.length && client.complete());
+  assert.equal(asked.filter((each) => each.startsWith("scene.json")).length, 2);
+});
+
 test("a first view that is cut or missing costs the time alone", async (t) => {
   const scene = VECTOR.package, { said } = await open(scene), { position, rotation } = said.first[0].pose;
   for (const cut of [true, false]) {

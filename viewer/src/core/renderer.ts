@@ -50,6 +50,7 @@ export class Renderer {
   #colors: Program | null = null;
   #store: Store | null = null;
   #colorTexture: WebGLTexture | null = null;
+  #isReady = false; // programs are compiled
   #seen = ""; // what all colors were found for
   count = 0; // Gaussians in the order
 
@@ -81,17 +82,23 @@ export class Renderer {
     this.#project = compile(gl, cover, project(layout.hsl));
     this.#colors = compile(gl, cover, colors(layout));
     this.#store = store;
+    this.#isReady = false;
     this.#colorTexture = null;
     this.#seen = "";
     this.count = 0;
   }
 
-  /** Wait until the programs are compiled, and find their uniforms: each is a question to the GPU. */
-  ready(): void {
-    for (const program of [this.#colors!, this.#project!, this.#splat, this.#present]) {
+  /** Return whether the programs are compiled, without waiting for that where the browser can tell. */
+  isReady(): boolean {
+    if (this.#isReady) return true;
+    const status = this.#gl.getExtension("KHR_parallel_shader_compile")?.COMPLETION_STATUS_KHR;
+    const programs = [this.#colors!, this.#project!, this.#splat, this.#present];
+    if (status && programs.some(({ program }) => this.#gl.getProgramParameter(program, status) === false)) return false;
+    for (const program of programs) { // each is a question to the GPU, which waits for what was drawn before
       program.use();
       program.at("size");
     }
+    return (this.#isReady = true);
   }
 
   /** Draw these places from now on, in this order. */

@@ -9,6 +9,13 @@ import type { Pose, View } from "./types.ts";
 import { isPose, isView } from "./wire.ts";
 import type { Report } from "./worker-source.ts";
 
+/** What a page says before its script has run: where a scene is, and the files that its first view needs. */
+export interface EarlyStart {
+  kind: "ahead";
+  base: string;
+  names: string[];
+}
+
 /** Where a scene is: its address, and the files that the page itself holds. */
 export interface StaticStart {
   base: string;
@@ -43,6 +50,11 @@ export class StaticHost {
       waiting: (seconds, message) => this.post({ kind: "state", state: { kind: "waiting", seconds, message } }),
       resumed: () => this.#session?.report(),
     }, this.#stop.signal);
+  }
+
+  /** Ask for files before the page has chosen its view. */
+  ahead(names: readonly string[]): void {
+    this.#parts.ahead?.(names);
   }
 
   /** Open the scene; report a failure in one line. */

@@ -15,14 +15,13 @@ export class Link {
   /** `now` returns seconds. */
   constructor(private readonly now: () => number) {}
 
-  /** Run a request and measure it. */
-  async measure<T>(request: () => Promise<T>): Promise<T> {
+  /** Run a request and measure it; one that was `begun` before says nothing of round trips. */
+  async measure<T>(request: () => Promise<T>, begun = false): Promise<T> {
     const began = this.now();
     if (this.#under++ === 0) [this.#since, this.#pending] = [began, 0];
     try {
       const found = await request(), took = this.now() - began;
-      this.roundTrip = this.#measured ? Math.min(this.roundTrip, took) : took;
-      this.#measured = true;
+      if (!begun) [this.roundTrip, this.#measured] = [this.#measured ? Math.min(this.roundTrip, took) : took, true];
       return found;
     } finally {
       this.#under--;

@@ -12,6 +12,12 @@ export interface Parts {
   scene(): Promise<string>;
   /** Return a file of so many bytes; `take`, if given, gets its pieces as they come. */
   read(name: string, bytes: number, take?: (data: Uint8Array) => void): Promise<Uint8Array>;
+  /** Ask for files before anybody reads them. */
+  ahead?(names: readonly string[]): void;
+  /** Return whether a file was asked for ahead and is not read yet. */
+  isAhead?(name: string): boolean;
+  /** Stop a file that was asked for ahead: nobody reads it. */
+  drop?(name: string): void;
 }
 
 /** What reading reports: bytes as they come, and waits of a link that is down. */
@@ -27,6 +33,7 @@ interface HttpOptions {
   random?: () => number;
 }
 
+const SCENE = "scene.json";
 const TRIES = 4; // of a server that answers with errors, or cuts
 const LONGEST = 20; // seconds between tries
 const MOST_JSON = 16 << 20;
@@ -37,6 +44,7 @@ export class HttpParts implements Parts {
   readonly #fetch: typeof fetch;
   readonly #sleep: (seconds: number) => Promise<void>;
   readonly #random: () => number;
+  readonly #early = new Map<string, Promise<Response>>(); // answers to what was asked for ahead
   #down = 0; // requests that wait for the link
 
   constructor(
@@ -51,8 +59,8 @@ export class HttpParts implements Parts {
   }
 
   async scene(): Promise<string> {
-    return this.#attempt("scene.json", async () => {
-      const answer = await this.#ask("scene.json", "no-cache");
+    return this.#attempt(SCENE, async () => {
+      const answer = await this.#ask(SCENE);
       return new TextDecoder().decode(await this.#body(answer, MOST_JSON));
     });
   }
@@ -70,10 +78,34 @@ export class HttpParts implements Parts {
     });
   }
 
-  async #ask(name: string, cache: RequestCache = "default"): Promise<Response> {
-    const answer = await this.#fetch(
+  ahead(names: readonly string[]): void {
+    for (const name of names) {
+      const answer = this.#request(name);
+      answer.catch(() => undefined); // whoever reads the file sees it, and tries again
+      this.#early.set(name, answer);
+    }
+  }
+
+  isAhead(name: string): boolean {
+    return this.#early.has(name);
+  }
+
+  drop(name: string): void {
+    void this.#early.get(name)?.then(({ body }) => body?.cancel()).catch(() => undefined);
+    this.#early.delete(name);
+  }
+
+  #request(name: string): Promise<Response> {
+    const cache = name === SCENE ? "no-cache" : "default";
+    return this.#fetch(
       new URL(name, this.base).href, { cache, signal: this.stop, credentials: "same-origin", redirect: this.#redirect },
     );
+  }
+
+  async #ask(name: string): Promise<Response> {
+    const early = this.#early.get(name);
+    this.#early.delete(name);
+    const answer = await (early ?? this.#request(name));
     if (answer.ok) return answer;
     await answer.body?.cancel();
     const message = `${name}: the server answers ${answer.status || "a redirect"}`;

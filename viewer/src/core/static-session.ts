@@ -94,6 +94,9 @@ export class StaticSession {
   #pump(): void {
     if (this.#isClosed || this.#pose === null || this.#view === null) return;
     const first = this.#first.find((each) => each.isFor(this.#pose!) && !each.isOver);
+    for (const { number } of this.#first) {
+      if (number !== first?.number) this.parts.drop?.(`${this.scene.files.get("first")!.name}-${number}.bin`);
+    }
     if (first !== undefined && !first.isAsked) void this.#fetchFirst(first);
     if (this.#index === null) return;
     const cell = this.#cells?.at(this.#pose.position) ?? 0, row = this.#row(cell);
@@ -224,11 +227,8 @@ export class StaticSession {
 
   /** Return a file, or one of a kind by its number. */
   async #read(kind: string, number?: number, bytes?: number, take?: (data: Uint8Array) => void): Promise<Uint8Array> {
-    const { name, bytes: all } = this.scene.files.get(kind)!;
-    return this.link.measure(() =>
-      number === undefined
-        ? this.parts.read(name, all)
-        : this.parts.read(`${name}-${number}.bin`, bytes!, take));
+    const { name, bytes: all } = this.scene.files.get(kind)!, file = number === undefined ? name : `${name}-${number}.bin`;
+    return this.link.measure(() => this.parts.read(file, bytes ?? all, take), this.parts.isAhead?.(file));
   }
 
   #states(choice: Choice): Uint8Array {

@@ -73,17 +73,20 @@ export class Viewer extends EventTarget {
     this.canvas = canvas;
     this.#options = options;
     this.#eye = options.camera ?? START;
+    this.#sorter = new Sorter(options.sortWorker); // its script comes while the browser makes a context
     const gl = canvas.getContext(
       "webgl2", { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" },
     );
-    if (!gl) throw new UnsupportedError("This browser offers no WebGL2, or graphics are off.");
+    if (!gl) {
+      this.#sorter.close();
+      throw new UnsupportedError("This browser offers no WebGL2, or graphics are off.");
+    }
     this.#gl = gl;
     this.#renderer = new Renderer(gl, options.precision);
     this.#look = {
       background: options.background ?? [0, 0, 0], antialiased: options.antialiased ?? false, paint: "color",
       detailed: true,
     };
-    this.#sorter = new Sorter(options.sortWorker);
     this.#sorter.onOrder = ({ order, count, milliseconds }) => this.#takeOrder(order, count, milliseconds);
     this.#sorter.onRenumbered = (slots) => this.#beginStore(slots);
     this.#sorter.onContent = (batch) => this.#store?.append(batch, true);
@@ -458,7 +461,6 @@ export class Viewer extends EventTarget {
     if (!done && !this.#sorter.sorting && !(same && this.#rests())) {
       this.#asked = { camera, version: this.#version, region };
       this.#sorter.sort(camera, region);
-      if (!last) this.#renderer.ready();
     }
     return done;
   }
@@ -508,6 +510,7 @@ export class Viewer extends EventTarget {
 
   #paint(camera: Camera, begin: number): void {
     const { canvas } = this;
+    if (this.#renderer.count && !this.#renderer.isReady()) return this.#request(); // what comes is taken meanwhile
     if (canvas.width !== camera.width || canvas.height !== camera.height) {
       canvas.width = camera.width;
       canvas.height = camera.height;

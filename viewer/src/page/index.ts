@@ -11,6 +11,18 @@ import { ThemeChoice } from "./theme.ts";
 import { ViewPage } from "./view.ts";
 import type { Core } from "./view.ts";
 
+type Early = { gsvisEarly?: { base: string; worker: Worker } | null };
+
+/** Return the Worker that the page of a site begins before this script is here; the first source of its scene has it. */
+function takeEarly(url: string): gsvis.StaticOptions {
+  const held = globalThis as Early, early = held.gsvisEarly;
+  held.gsvisEarly = null;
+  if (!early) return {};
+  if (early.base === url) return { worker: () => early.worker };
+  early.worker.terminate();
+  return {};
+}
+
 const origins = meta("origins"), permits = permitOf(location.href, origins), isOwn = permitOf(location.href);
 const page = readAddress(
   location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings"), visitor: meta("visitor"), origins },
@@ -22,7 +34,7 @@ if (page.scene) {
     makeViewer: (canvas, options) => new gsvis.Viewer(canvas, options),
     makeSource: (scene, token) => (scene.kind === "stream" ? gsvis.streamSource(
       scene.url, token && isOwn(scene.url) ? { token, memory } : { memory }, // no other origin learns the token
-    ) : gsvis.staticSource(scene.url)),
+    ) : gsvis.staticSource(scene.url, takeEarly(scene.url))),
   };
   const { scene } = page, known = meta("streamed") && scene.kind === "stream"; // then there is nothing to ask
   void (known ? Promise.resolve({ scene, preparing: false }) : locate(scene, permits)).then(({ scene, preparing }) => {
