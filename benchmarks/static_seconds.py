@@ -1,10 +1,10 @@
 """How many seconds until a view is good: a static site in a browser, at delays of 10 to 100 ms, 10 and 30 Mbit/s?
 
 A host of files (`_slow_host.py`) gives each visitor a delay, by which is meant a round trip, and a rate. The browser is
-Debian's Chromium without a GPU, or Firefox ESR; each visit has an empty cache, in a window that stands open. What has come is taken from the page's
-own Worker, with its time since navigation, and drawn here: the images are those of the page without the time that this
-machine, which has no GPU, would need to draw. Page, scripts and tables count; the site is opened at its first view, and
-at eyes within cells.
+Debian's Chromium without a GPU, or Firefox ESR; each visit has an empty cache, in a window that stands open. What has
+come is taken from the page's own Worker, with its time since navigation, and drawn here: the images are those of the
+page without the time that this machine, which has no GPU, would need to draw. Page, scripts and tables count; the site
+is opened at its first view, and at eyes within cells.
 
 Given: a package with visible sets (--package), --eyes eyes drawn by --seed, --visits visits at each.
 Measured: seconds from navigation until the image of what has come reaches 20 and 35 dB against all that the

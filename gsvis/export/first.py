@@ -111,7 +111,7 @@ class FirstViews:
         count = int(self.placing.part_of.max()) + 1
         here = np.zeros(len(self.coder.contents), np.bool_)
         here[ids] = True
-        seen, lights, _ = light
+        seen, lights = light
         parts = self.placing.part_of[seen]
         kept = parts >= 0
         all_light = np.bincount(parts[kept], lights[kept], minlength=count)

@@ -1,7 +1,7 @@
 """Write the index of a static scene: how many Gaussians and bytes each part has, and a sphere around it.
 
 A page reads it whole before the first part. Centers are in steps that grow with the distance from the middle of the
-scene; spheres hold all that their part draws.
+scene. A sphere says where the light of its part is, not how far the part reaches: few Gaussians lie far away.
 """
 
 from __future__ import annotations
@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gsvis.export.columns import column, compress, differences
-from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["Spheres", "index_of"]
 
@@ -26,15 +25,12 @@ STEPS = 64
 OCTAVE = 4
 """Steps of a radius for each doubling."""
 
-REACH = 3.0
-"""Reach of a Gaussian in standard deviations, as on a server, because wide Gaussians outreach their centers."""
-
 _MOST = (1 << 15) - 1
 
 
 @dataclass(frozen=True, eq=False)
 class Spheres:
-    """Spheres around P parts.
+    """Spheres in which the light of P parts is.
 
     Attributes:
         middle: (3,) point where steps are finest.
@@ -49,26 +45,40 @@ class Spheres:
     radii: I64
 
     @classmethod
-    def from_parts(cls, parts: list[I64], g: Gaussians) -> Spheres:
-        """Return spheres that hold the centers of all Gaussians of a part and three times the largest deviation."""
+    def from_parts(cls, parts: list[I64], means: ArrayLike, gains: F64) -> Spheres:
+        """Return the mean place of the light of each part, and the root of the mean squared distance from it.
+
+        Args:
+            parts: Ids of the Gaussians of each part.
+            means: (N, 3) centers of all Gaussians.
+            gains: (N,) how bright each one is.
+        """
         starts = np.cumsum([0] + [len(part) for part in parts[:-1]])
         ids = np.concatenate(parts)
-        means = g.means[ids].astype(np.float64)
         counts = np.diff(np.append(starts, len(ids)))
-        lows = np.minimum.reduceat(means, starts)
-        highs = np.maximum.reduceat(means, starts)
-        centers = (lows + highs) / 2
-        halves = np.linalg.norm(highs - lows, axis=1) / 2
+        points = np.asarray(means, np.float64)[ids]
+        weights = gains[ids] + 1e-9 * max(
+            float(gains.max(initial=0.0)), 1e-300
+        )  # parts without light have a sphere too
+        sums = np.add.reduceat(weights, starts)
+        centers = np.add.reduceat(points * weights[:, None], starts) / sums[:, None]
         # Decoders read both numbers from text; numbers of few digits are read exactly.
         middle = np.median(centers, axis=0).astype(np.float32).astype(np.float64)
-        least = 1e-6 * float(max(halves.max(initial=0.0), np.ptp(centers, axis=0).max(initial=0.0))) or 1e-6
-        scale = float(np.float32(max(np.median(halves), least)))
+        spread = cls._spread(points, centers, weights / np.repeat(sums, counts), counts)
+        least = 1e-6 * float(max(spread.max(initial=0.0), np.ptp(centers, axis=0).max(initial=0.0))) or 1e-6
+        scale = float(np.float32(max(np.median(spread), least)))
         places = np.clip(np.rint(STEPS * np.arcsinh((centers - middle) / scale)), -_MOST, _MOST).astype(np.int64)
-        decoded = middle + scale * np.sinh(places / STEPS)
-        away = np.linalg.norm(means - np.repeat(decoded, counts, axis=0), axis=1)
-        reach = np.maximum.reduceat(away, starts) + REACH * np.maximum.reduceat(g.scales[ids].max(axis=1), starts)
-        radii = np.ceil(OCTAVE * np.log2(np.maximum(reach, 1e-300) / scale) + 1e-6) + 128
+        spread = cls._spread(
+            points, middle + scale * np.sinh(places / STEPS), weights / np.repeat(sums, counts), counts
+        )
+        radii = np.rint(OCTAVE * np.log2(np.maximum(spread, 1e-300) / scale)) + 128
         return cls(middle, scale, places, np.clip(radii, 0, 255).astype(np.int64))
+
+    @staticmethod
+    def _spread(points: F64, centers: F64, shares: F64, counts: I64) -> F64:
+        """Return the root of the mean squared distance (P,) of the points of each part from its center."""
+        squared = np.square(points - np.repeat(centers, counts, axis=0)).sum(axis=1)
+        return np.asarray(np.sqrt(np.bincount(np.repeat(np.arange(len(counts)), counts), squared * shares)), np.float64)
 
     def as_dict(self) -> dict[str, Any]:
         """Return middle and scale, ready for JSON."""

@@ -1,8 +1,7 @@
-"""Measure what each cell of a package needs: the light of each Gaussian it sees, and the direction that it comes from.
+"""Measure what each cell of a package needs: the light of each Gaussian it sees.
 
-The light of a Gaussian is its blending weight times its solid angle. Directions are 24 bins: the quarters of the faces
-of a cube around the eye. Each Gaussian is seen from a place of its own in the cell, so sums over many hold for all of
-the cell.
+The light of a Gaussian is its blending weight times its solid angle. Each Gaussian is seen from a place of its own in
+the cell, so sums over many hold for all of the cell.
 """
 
 from __future__ import annotations
@@ -17,14 +16,11 @@ from gsvis.package.package import Package
 from gsvis.scene.gaussians import Gaussians
 from gsvis.stream.source import class_weights
 
-__all__ = ["BINS", "CellLight", "Lights", "areas_of", "bins_of"]
+__all__ = ["CellLight", "Lights", "areas_of"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
-
-BINS = 24
-"""Bins of directions."""
 
 SPHERE = 4.0 * np.pi
 """Largest solid angle."""
@@ -38,12 +34,10 @@ class CellLight(NamedTuple):
     Attributes:
         ids: (V,) ids of the Gaussians.
         lights: (V,) weight times solid angle of each.
-        bins: (V,) bin of the direction of each.
     """
 
     ids: I64
     lights: F64
-    bins: U8
 
 
 class Lights:
@@ -70,7 +64,7 @@ class Lights:
         """Return (N,) the light of each Gaussian in the cell where it is brightest, 0 if no cell sees it."""
         found = np.zeros(len(self._means))
         for cell in range(len(self)):
-            ids, lights, _ = self.of_cell(cell)
+            ids, lights = self.of_cell(cell)
             found[ids] = np.maximum(found[ids], lights)
         return found
 
@@ -90,17 +84,7 @@ class Lights:
         away = self._means[ids] - eyes
         squared = np.maximum(np.square(away).sum(axis=1), near * near)
         lights = self._weights[classes] * np.minimum(self._areas[ids] / squared, SPHERE)
-        return CellLight(ids, lights.astype(np.float64), bins_of(away))
-
-
-def bins_of(directions: F64) -> U8:
-    """Return the bin (N,) of directions (N, 3): four for each of +x, -x, +y, -y, +z, -z, by the signs of the others."""
-    axis = np.argmax(np.abs(directions), axis=1)
-    rows = np.arange(len(directions))
-    face = 2 * axis + (directions[rows, axis] < 0)
-    first = directions[rows, (axis + 1) % 3] < 0
-    second = directions[rows, (axis + 2) % 3] < 0
-    return np.asarray(4 * face + 2 * first + second, np.uint8)
+        return CellLight(ids, lights.astype(np.float64))
 
 
 def areas_of(g: Gaussians) -> F64:

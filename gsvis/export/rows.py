@@ -1,8 +1,8 @@
 """Write the rows of the cells of a static scene: the parts that each cell sees, and what they are worth there.
 
-A row has a bitmap of parts, lowest bit first; then for each bin of directions (see `gsvis.export.lights`) a byte for
-the gain of each of these parts; and, where the scene has active terms, a byte for what the terms of each are worth. A
-scene without visible sets has one cell that sees everything, from nowhere.
+A row has a bitmap of parts, lowest bit first; then a byte for the gain of each of these parts; and, where the scene has
+active terms, a byte for what the terms of each are worth. A scene without visible sets has one cell that sees
+everything, from nowhere.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gsvis.color.activation import Activation
 from gsvis.export.columns import GAIN_STEPS, column, compress, differences, quantize_gains
-from gsvis.export.lights import BINS, SPHERE, CellLight, Lights
+from gsvis.export.lights import SPHERE, CellLight, Lights
 from gsvis.package.package import Package
 from gsvis.progress import Progress
 from gsvis.pvs.cells import CellGrid
@@ -53,14 +53,13 @@ class CellRows:
 
 
 def rows_of_scene(gains: F64, part_of: I64) -> CellRows:
-    """Return one row with all parts, whose gain in the first bin is the sum over their Gaussians.
+    """Return one row with all parts, whose gain is the sum over their Gaussians.
 
     Args:
         gains: (N,) what each Gaussian counts.
         part_of: (N,) its part.
     """
-    table = np.zeros((int(part_of.max()) + 1, BINS))
-    table[:, 0] = np.bincount(part_of, gains)
+    table = np.asarray(np.bincount(part_of, gains, minlength=int(part_of.max()) + 1), np.float64)
     top = int(np.ceil(GAIN_STEPS * np.log2(max(table.max(), 1e-300))))
     return CellRows(None, top, False, (_row(table, np.ones(len(table), np.bool_), top),))
 
@@ -81,7 +80,7 @@ def rows_of_package(lights: Lights, worth: TermWorth | None, part_of: I64, progr
     for cell in range(len(lights)):
         light = lights.of_cell(cell)
         gains = gains_of_parts(light, part_of, count)
-        seen = np.asarray(gains.any(axis=1))
+        seen = gains > 0
         terms = b"" if worth is None else worth.of_parts(cell, light, part_of, count)[seen].tobytes()
         rows.append(_row(gains, seen, top, terms))
         progress("sets", cell + 1, len(lights))
@@ -89,11 +88,10 @@ def rows_of_package(lights: Lights, worth: TermWorth | None, part_of: I64, progr
 
 
 def gains_of_parts(light: CellLight, part_of: I64, count: int) -> F64:
-    """Return (count, BINS) the light of each part in each bin."""
+    """Return (count,) the light of each part."""
     parts = part_of[light.ids]
     kept = parts >= 0
-    at = parts[kept] * BINS + light.bins[kept]
-    return np.asarray(np.bincount(at, light.lights[kept], minlength=count * BINS).reshape(count, BINS), np.float64)
+    return np.asarray(np.bincount(parts[kept], light.lights[kept], minlength=count), np.float64)
 
 
 class TermWorth:
@@ -140,7 +138,5 @@ class TermWorth:
 
 def _row(gains: F64, seen: NDArray[np.bool_], top: int, terms: bytes = b"") -> bytes:
     """Return the row of a cell, compressed."""
-    some = gains[seen]
-    planes = np.where(some > 0, quantize_gains(some, top), 0).astype(np.uint8)
-    bits = np.packbits(seen, bitorder="little").tobytes()
-    return compress(bits, np.ascontiguousarray(planes.T).tobytes(), terms)
+    bits = np.packbits(seen, bitorder="little")
+    return compress(bits.tobytes(), quantize_gains(gains[seen], top).tobytes(), terms)

@@ -26,7 +26,7 @@ from gsvis.export.bare import encode_scene
 from gsvis.export.columns import compress
 from gsvis.export.first import FirstViews
 from gsvis.export.index import Spheres, index_of
-from gsvis.export.lights import BINS, Lights, areas_of
+from gsvis.export.lights import Lights, areas_of
 from gsvis.export.parts import divide_in_space
 from gsvis.export.pieces import PieceCoder, place
 from gsvis.export.placing import Placing
@@ -61,7 +61,7 @@ __all__ = [
 I64 = NDArray[np.int64]
 
 FORMAT = "gsvis-static"
-VERSION = 4
+VERSION = 5
 SCENE = "scene.json"
 FILES = ("index", "grid", "facts", "walk")
 """Files of a scene besides `scene.json`."""
@@ -317,7 +317,7 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
         first = FirstViews(lights, g, worth, coder, placing)
         known = replace(known, first=tuple(_standing(pose, floor) for pose in known.poses))
         pieces["first"] = [first.encode(pose, most) for pose in known.first]
-    return _Content(coder, parts, cells, files, pieces, Spheres.from_parts(parts, g), known)
+    return _Content(coder, parts, cells, files, pieces, Spheres.from_parts(parts, g.means, gains), known)
 
 
 def _standing(pose: Start, floor: dict[str, Any]) -> Start:
@@ -362,7 +362,7 @@ def _bare_content(scene: Levels | Gaussians, options: StaticOptions, progress: P
     files = {}
     if options.space is not None:
         files = _walk(g, CellGrid.over(options.space), options.meters_per_unit or 0.0, options.most_walk)
-    return _Content(coder, parts, cells, files, pieces, Spheres.from_parts(parts, g), info)
+    return _Content(coder, parts, cells, files, pieces, Spheres.from_parts(parts, g.means, gains), info)
 
 
 def _keep(folder: Path, kind: str, contents: list[bytes], numbered: bool) -> StaticFile:
@@ -409,7 +409,6 @@ def _document(content: _Content, files: dict[str, StaticFile], options: StaticOp
         "terms": len(contents.term_records),
         "chunks": len(contents.table),
         "parts": len(content.parts),
-        "bins": BINS,
         "places": content.spheres.as_dict(),
         "code": content.coder.coding.tables.to_text(),
         "steps": None,

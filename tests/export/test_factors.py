@@ -25,5 +25,5 @@ def factors_of_the_page() -> dict[str, float]:
 
 def test_the_documented_factors_are_those_of_the_page_and_of_the_server() -> None:
     page, server = documented()
-    assert page == {name: factors_of_the_page().get(name) for name in ("PERIPHERAL", "TERMS", "MARGIN")}
+    assert page == {name: factors_of_the_page().get(name) for name in ("PERIPHERAL", "TERMS")}
     assert server == {name: vars(AbrConfig().utility).get(name) for name in ("peripheral", "terms", "adjacent")}

@@ -1,12 +1,12 @@
 // The cells of a static scene: which cell an eye is in, and what its row says.
-import { BINS, type StaticScene } from "./static-scene.ts";
+import type { StaticScene } from "./static-scene.ts";
 import { Columns, damaged, inflate } from "./static-tables.ts";
 
-/** What a cell sees: for each part its gain in each bin of directions, and what its terms are worth. */
+/** What a cell sees: for each part its gain, and what its terms are worth. */
 export interface CellRow {
-  gains: Float32Array; // (BINS P)
+  gains: Float32Array; // (P)
   terms: Float32Array | null; // (P)
-  middle: readonly number[] | null; // of the cell; null if gains know no direction: they are in the first bin
+  middle: readonly number[] | null; // of the cell; null where one cell is everywhere
 }
 
 export class Cells {
@@ -68,17 +68,14 @@ export class Cells {
 export async function readRow(
   scene: StaticScene, coded: Uint8Array, middle: readonly number[] | null,
 ): Promise<CellRow> {
-  const bits = Math.ceil(scene.parts / 8), each = BINS + (scene.cells.active ? 1 : 0), seen: number[] = [];
+  const bits = Math.ceil(scene.parts / 8), each = 1 + (scene.cells.active ? 1 : 0), seen: number[] = [];
   const data = await inflate(coded, bits + each * scene.parts, "row");
   for (let p = 0; p < scene.parts && p >> 3 < data.length; p++) if ((data[p >> 3] >> (p & 7)) & 1) seen.push(p);
   if (data.length !== bits + each * seen.length) throw damaged("row");
-  const gains = new Float32Array(BINS * scene.parts), terms = scene.cells.active ? new Float32Array(scene.parts) : null;
+  const gains = new Float32Array(scene.parts), terms = scene.cells.active ? new Float32Array(scene.parts) : null;
   seen.forEach((p, k) => {
-    for (let bin = 0; bin < BINS; bin++) {
-      const value = data[bits + bin * seen.length + k];
-      if (value > 0) gains[BINS * p + bin] = 2 ** ((value - 255 + scene.cells.gainTop) / 4);
-    }
-    const octave = data[bits + BINS * seen.length + k];
+    gains[p] = 2 ** ((data[bits + k] - 255 + scene.cells.gainTop) / 4);
+    const octave = data[bits + seen.length + k];
     if (terms !== null && octave > 0) terms[p] = 2 ** (octave - 128);
   });
   return { gains, terms, middle };
@@ -86,7 +83,5 @@ export async function readRow(
 
 /** Return a row with all parts alike: what a cell is taken to see whose own row is lost. */
 export function everything(scene: StaticScene): CellRow {
-  const gains = new Float32Array(BINS * scene.parts);
-  for (let p = 0; p < scene.parts; p++) gains[BINS * p] = 1;
-  return { gains, terms: null, middle: null };
+  return { gains: new Float32Array(scene.parts).fill(1), terms: null, middle: null };
 }

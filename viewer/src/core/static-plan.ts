@@ -4,13 +4,11 @@
 import { rotationOf } from "./camera.ts";
 import type { CellRow } from "./static-cells.ts";
 import type { Index } from "./static-index.ts";
-import { BINS } from "./static-scene.ts";
 import type { Pose, View } from "./types.ts";
 
-export const MARGIN = 0.14; // radians by which the borders of the view move outwards
 const PERIPHERAL = 0.003; // how what is out of view counts
+const NEAR = 0.25; // sides of a cell that a part is away at least
 const TERMS = 0.003; // what terms are worth whose row does not say it, over the gain of their part
-const SUB = 6; // samples along a side of a bin
 
 /** States of parts, and of their terms. */
 export const NONE = 0, ASKED = 1, HELD = 2, LOST = 3;
@@ -28,14 +26,14 @@ export interface Holdings {
 }
 
 /** Return five planes (normal, offset): points inside have a positive distance from all; see `FieldOfView.planes`. */
-export function frustum(pose: Pose, view: View, margin = MARGIN): Float64Array {
+export function frustum(pose: Pose, view: View): Float64Array {
   const turn = rotationOf(pose.rotation);
   const widest = (89 * Math.PI) / 180, planes = new Float64Array(20);
   const sides = [[view.left, 0, 1], [view.right, 0, -1], [view.up, 1, 1], [view.down, 1, -1]] as const;
   for (let k = 0; k < 5; k++) {
     const local = [0, 0, 1];
     if (k < 4) {
-      const [tangent, axis, sign] = sides[k], angle = Math.min(Math.atan(tangent) + margin, widest);
+      const [tangent, axis, sign] = sides[k], angle = Math.min(Math.atan(tangent), widest);
       local[axis] = sign * Math.cos(angle);
       local[2] = Math.sin(angle);
     }
@@ -48,60 +46,33 @@ export function frustum(pose: Pose, view: View, margin = MARGIN): Float64Array {
   return planes;
 }
 
-/** Return how much of each bin of directions is in view, 0 to 1; bins are those of gsvis.export.lights. */
-export function binsInView(pose: Pose, view: View): Float32Array {
-  const planes = frustum({ ...pose, position: [0, 0, 0] }, view), found = new Float32Array(BINS);
-  const sign = (bit: number): number => (bit ? -1 : 1), v = [0, 0, 0];
-  for (let bin = 0; bin < BINS; bin++) {
-    const axis = bin >> 3;
-    for (let k = 0; k < SUB * SUB; k++) {
-      v[axis] = sign((bin >> 2) & 1);
-      v[(axis + 1) % 3] = sign((bin >> 1) & 1) * ((k % SUB) + 0.5) / SUB;
-      v[(axis + 2) % 3] = sign(bin & 1) * (Math.floor(k / SUB) + 0.5) / SUB;
-      let isIn = true;
-      for (let p = 0; p < 20; p += 4) isIn &&= planes[p] * v[0] + planes[p + 1] * v[1] + planes[p + 2] * v[2] > 0;
-      if (isIn) found[bin] += 1 / (SUB * SUB);
-    }
-  }
-  return found;
-}
-
 /**
- * Return what each part is worth to an eye: its light in view. Outside of all cells, and without cells, a part counts by
- * its sphere; of what the nearest cell does not see an eye sees the more, the farther it is (gsvis.abr.outside).
+ * Return what each part is worth to an eye: its light in the cell, as much of it as is in view, corrected for how much
+ * nearer the eye is than the middle of the cell. Of what the nearest cell does not see an eye outside of it sees the
+ * more, the farther it is (gsvis.abr.outside).
  */
 export function worthOf(index: Index, row: CellRow, size: number, pose: Pose, view: View): Float32Array {
-  const { middle } = row, worth = new Float32Array(index.count), bins = binsInView(pose, view);
-  const away = middle
-    ? Math.hypot(...middle.map((v, k) => Math.max(Math.abs(v - pose.position[k]) / size - 0.5, 0)))
-    : 0;
-  const isWithin = middle !== null && away < 1e-6, planes = frustum(pose, view), share = (away / (1 + away)) ** 2;
+  const { middle } = row, { position } = pose, worth = new Float32Array(index.count), planes = frustum(pose, view);
+  const away = middle ? Math.hypot(...middle.map((v, k) => Math.max(Math.abs(v - position[k]) / size - 0.5, 0))) : 0;
+  const share = away < 1e-6 ? 0 : (away / (1 + away)) ** 2;
   for (let p = 0; p < index.count; p++) {
-    let sum = 0;
-    for (let bin = 0; bin < BINS; bin++) {
-      const gain = row.gains[BINS * p + bin];
-      if (gain > 0) sum += isWithin ? gain * (PERIPHERAL + (1 - PERIPHERAL) * bins[bin]) : gain;
-    }
-    if (!isWithin) {
-      const [x, y, z, radius] = index.spheres.subarray(4 * p, 4 * p + 4);
-      const squared = (eye: readonly number[]): number =>
-        (x - eye[0]) ** 2 + (y - eye[1]) ** 2 + (z - eye[2]) ** 2 + radius ** 2 / 4 + 1e-12;
-      const near = middle ? squared(middle) / squared(pose.position) : 1 / squared(pose.position);
-      sum = (sum + (middle ? share * radius ** 2 / squared(middle) : 0)) * near *
-        PERIPHERAL ** (1 - insideOf(planes, x, y, z, radius));
-    }
-    worth[p] = sum;
+    const [x, y, z, radius] = index.spheres.subarray(4 * p, 4 * p + 4);
+    const squared = (eye: readonly number[]): number => 1e-12 +
+      Math.max((x - eye[0]) ** 2 + (y - eye[1]) ** 2 + (z - eye[2]) ** 2 + radius ** 2 / 4, (NEAR * size) ** 2);
+    const light = row.gains[p] + (middle ? share * radius ** 2 / squared(middle) : 0);
+    const near = (middle ? squared(middle) : 1) / squared(position);
+    worth[p] = light * near * (PERIPHERAL + (1 - PERIPHERAL) * insideOf(planes, x, y, z, radius));
   }
   return worth;
 }
 
-/** Return 1 for a sphere whose center is in view, 0 for one of which nothing is, and between for others. */
+/** Return the share of a sphere that is in view, about: half of it where its center is on a border. */
 function insideOf(planes: Float64Array, x: number, y: number, z: number, radius: number): number {
-  let depth = 0; // how far the center is inside of all borders, at most 0
+  let depth = Infinity; // how far the center is inside of all borders
   for (let p = 0; p < 20; p += 4) {
     depth = Math.min(depth, planes[p] * x + planes[p + 1] * y + planes[p + 2] * z + planes[p + 3]);
   }
-  return Math.max(0, 1 + depth / (radius || 1));
+  return Math.min(Math.max(0.5 + depth / (2 * radius || 1), 0), 1);
 }
 
 /**

@@ -3,8 +3,7 @@ import { headerOf, withCode } from "./header.ts";
 import { type Fields, integer, list, number, object, refuse, triple } from "./json.ts";
 import type { HarmonicTables, Header, Pose } from "./types.ts";
 
-export const BINS = 24; // of directions
-const VERSION = 4;
+const VERSION = 5;
 const MOST = 1 << 28;
 const FARTHEST = 1e30;
 const WHERE = "scene.json";
@@ -49,7 +48,6 @@ export function parseScene(text: string): StaticScene {
   if (top.version !== VERSION) {
     throw new Error(`${WHERE}: expected version ${VERSION}, got ${String(top.version)}; export the scene again`);
   }
-  if (top.bins !== BINS) refuse(`${WHERE}, bins`, String(BINS), top.bins);
   const places = object(top.places, `${WHERE}, places`), plain = headerOf(top, WHERE);
   const scene: StaticScene = {
     header: {

@@ -11,7 +11,7 @@ import type { Parts } from "./static-parts.ts";
 import { readPiece } from "./static-pieces.ts";
 import { ASKED, choose, HELD, LOST, worthOf } from "./static-plan.ts";
 import type { Choice, Holdings } from "./static-plan.ts";
-import { BINS, type StaticScene } from "./static-scene.ts";
+import type { StaticScene } from "./static-scene.ts";
 import type { Pose, SourceEvents, View } from "./types.ts";
 
 const TURN = 0.087; // radians by which the head turns before all is ranked again
@@ -156,9 +156,7 @@ export class StaticSession {
     const row = other === REST ? everything(this.scene) : this.#row(other);
     if (row instanceof Promise) return;
     this.#left.shift();
-    for (let p = 0; p < this.#index!.count; p++) {
-      this.#worth[p] = row.gains.subarray(BINS * p, BINS * (p + 1)).reduce((sum, gain) => sum + gain, 0);
-    }
+    this.#worth = row.gains.slice();
     this.#ofTerms = row.terms;
     this.#pump();
   }
