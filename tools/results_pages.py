@@ -192,7 +192,6 @@ PAGES = {
             "walls",
             "first_views",
             "static_site",
-            "static_site_nika",
             "streamed_sog",
             "streamed_sog_nika",
             "level_choice",
