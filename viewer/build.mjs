@@ -75,14 +75,23 @@ if (process.argv.includes("--tests")) {
     });
     return { path, bytes: Buffer.from(code) };
   }));
-  for (const name of ["view.html", "list.html"]) {
-    files.push({ path: join(out, name), bytes: readFileSync(join(here, "src/page", name)) });
+  const words = (language) => JSON.parse(readFileSync(join(here, `src/page/words/${language}.json`), "utf8"));
+  const english = words("en"); // what a page says without its scripts is English
+  const html = (name) => readFileSync(join(here, "src/page", name), "utf8").replaceAll(/%([\w.]+)%/g, (_, key) => english[key]);
+  for (const name of ["view.html", "list.html"]) files.push({ path: join(out, name), bytes: Buffer.from(html(name)) });
+  for (const name of readdirSync(join(here, "src/page/words"))) {
+    const language = basename(name, ".json"), text = JSON.stringify(words(language));
+    if (language === "en") continue; // part of page.js
+    files.push({
+      path: join(out, `words-${language}.js`), bytes: Buffer.from(`(globalThis.gsvisParts??={})["words-${language}"]=${text};\n`),
+    });
   }
-  const page = readFileSync(join(here, "src/page/view.html"), "utf8").replaceAll("../viewer/", "./");
+  const page = html("view.html").replaceAll("../viewer/", "./");
   files.push({ path: join(out, "page.html"), bytes: Buffer.from(page) }); // beside the scripts, as the element finds it
   files.push({ path: join(out, "gsvis-viewer.d.ts"), bytes: Buffer.from(bundleTypes()) });
   files.push({ path: join(out, "element.d.ts"), bytes: Buffer.from(elementTypes()) });
   files.push({ path: join(out, "README.md"), bytes: readFileSync(join(here, "README.md")) });
+  files.push({ path: join(out, "LICENSE"), bytes: readFileSync(join(here, "../LICENSE")) });
   const { name, version, description, license } = JSON.parse(readFileSync(join(here, "package.json"), "utf8"));
   const types = "./gsvis-viewer.d.ts", element = { types: "./element.d.ts", default: "./element.js" };
   const exports = { ".": { types, default: "./gsvis-viewer.js" }, "./element": element, "./*": "./*" };

@@ -206,6 +206,8 @@ class Presented:
     """Color of the controls, such as #d4380d; made lighter or darker until it can be read."""
     visitor: Flag = False
     """Leave out what is for engineers: Inspect, counts, levels, cells."""
+    language: Annotated[str | None, hint("of the visitor's browser", "LANG")] = None
+    """Language of the page: en or de."""
     embedders: Annotated[tuple[str, ...], readers.ORIGINS, hint("its own")] = ()
     """Origins whose pages may ask for pictures and picks in a frame, such as https://blog.example; * is all."""
     page_origins: Annotated[tuple[str, ...], readers.ORIGINS, hint("its own address")] = ()

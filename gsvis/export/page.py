@@ -56,7 +56,7 @@ FOLDER = "scene"
 _STYLE = '<link rel="stylesheet"'
 _EMPTY = '<main class="scene">'
 
-_PARTS = ("embed.js", "hotspots.js", "tour.js")  # loaded when used; a page in one file holds them
+_PARTS = ("embed.js", "hotspots.js", "tour.js", "words-de.js")  # loaded when used; a page in one file holds them
 _SCRIPTS = ("page.js", "sort.js", "static.js", "network.js", "xr.js", "element.js", *_PARTS)
 _WORKERS = ("sort.js", "static.js", "network.js")
 _LOG = logging.getLogger(__name__)
@@ -296,6 +296,7 @@ def _page(page: str, document: dict[str, Any], where: Mapping[str, str], policy:
     lines += [f'<meta name="{name}" content="{escape(text)}">' for name, text in metas.items()]
     lines += shown.preview(document["name"])
     title = f"<title>{escape(shown.title or document['name'] + ' · gsvis')}</title>"
+    page = page.replace('<html lang="en">', f'<html lang="{shown.language or "en"}">')
     page = re.sub(r"<title>.*?</title>", lambda _: title, page, count=1, flags=re.DOTALL)
     return re.sub(r"<meta charset=[^>]*>", lambda found: "\n    ".join([found[0], *lines]), page, count=1)
 

@@ -19,13 +19,16 @@ from gsvis.errors import FormatError
 from gsvis.files.limits import read_whole
 from gsvis.files.origins import parse_origins
 
-__all__ = ["PageOptions", "accents", "check_page", "contrast", "read_settings"]
+__all__ = ["LANGUAGES", "PageOptions", "accents", "check_page", "contrast", "read_settings"]
 
 _PICTURES = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png", ".webp": "image/webp"}
 _COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 _PANELS = {"dark": "#15181d", "light": "#ffffff"}  # of page.css
 _INKS = ("#07152b", "#ffffff")  # of text on the accent
 _CONTRAST = 4.5  # least of text, as in WCAG 2.2
+
+LANGUAGES = ("en", "de")
+"""Languages that the page speaks: files of `viewer/src/page/words`."""
 
 Path_ = str | PathLike[str]
 RGB = tuple[float, float, float]
@@ -43,6 +46,7 @@ class PageOptions:
         og_image: A picture for previews in other pages: a file, or the address of one.
         accent: Color of the controls, such as "#d4380d"; made lighter or darker until text in it can be read.
         visitor: Leave out what is for engineers: Inspect, counts, levels, cells.
+        language: Language of the page, one of `LANGUAGES`; None takes that of each visitor's browser.
         embedders: Origins whose pages may read the picture in a frame, such as "https://blog.example"; "*" is all.
     """
 
@@ -53,6 +57,7 @@ class PageOptions:
     og_image: Path_ | None = None
     accent: str | None = None
     visitor: bool = False
+    language: str | None = None
     embedders: Sequence[str] = ()
 
     def metas(self) -> dict[str, str]:
@@ -62,6 +67,7 @@ class PageOptions:
             "gsvis-background": self.backdrop,
             "gsvis-accent": None if self.accent is None else " ".join(accents(self.accent)),
             "gsvis-visitor": "true" if self.visitor else None,
+            "gsvis-language": self.language,
             "gsvis-embedders": " ".join(self.embedders),
         }
         return {name: text for name, text in found.items() if text}
@@ -102,10 +108,10 @@ class PageOptions:
 
 
 def check_page(page: PageOptions) -> None:
-    """Raise unless the options of a page can be used: colors, pictures, settings and origins.
+    """Raise unless the options of a page can be used: colors, pictures, settings, language and origins.
 
     Raises:
-        ValueError: If a color, a picture or an origin is none.
+        ValueError: If a color, a picture, a language or an origin is none.
         FormatError: If the settings are none.
         OSError: If a file cannot be read.
     """
@@ -118,6 +124,8 @@ def check_page(page: PageOptions) -> None:
         if Path(path).suffix.lower() not in _PICTURES:
             raise ValueError(f"{name}: expected a picture ({', '.join(_PICTURES)}), got {path}")
         read_whole(Path(path))
+    if page.language is not None and page.language not in LANGUAGES:
+        raise ValueError(f"--language: expected one of {', '.join(LANGUAGES)}, got {page.language[:100]!r}")
     if "*" not in page.embedders:
         parse_origins("--embedders", page.embedders)
     if page.settings is not None:

@@ -115,7 +115,8 @@ SPOTS = {
 @contextmanager
 def serve_page(script: Path) -> Iterator[str]:
     """Serve the pages as `gsvis serve` does; gives the address."""
-    pages = VIEWER / "src" / "page"
+    pages, built = VIEWER / "src" / "page", VIEWER.parent / "gsvis" / "viewer"
+    scripts = ("list.js", "tour.js", "hotspots.js", "words-de.js")
     facts = {f"/scenes/show%20room/{name}": json.dumps(value).encode() for name, value in make_facts().items()}
     scenes = {
         "scenes": [{"name": name, "gaussians": 780_582, "stream": "s", "static": None} for name in (NAME, HOSTILE)]
@@ -124,10 +125,8 @@ def serve_page(script: Path) -> Iterator[str]:
         "/viewer/page.js": (script.read_bytes(), "text/javascript"),
         "/viewer/page.css": ((pages / "page.css").read_bytes(), "text/css"),
         "/viewer/list.css": ((pages / "list.css").read_bytes(), "text/css"),
-        "/viewer/list.js": ((VIEWER.parent / "gsvis" / "viewer" / "list.js").read_bytes(), "text/javascript"),
-        "/view/show%20room": ((pages / "view.html").read_bytes(), "text/html; charset=utf-8"),
-        "/viewer/tour.js": ((VIEWER.parent / "gsvis" / "viewer" / "tour.js").read_bytes(), "text/javascript"),
-        "/viewer/hotspots.js": ((VIEWER.parent / "gsvis" / "viewer" / "hotspots.js").read_bytes(), "text/javascript"),
+        **{f"/viewer/{name}": ((built / name).read_bytes(), "text/javascript") for name in scripts},
+        "/view/show%20room": ((built / "view.html").read_bytes(), "text/html; charset=utf-8"),
         "/view/spots.json": (json.dumps(SPOTS).encode(), "application/json"),
         "/view/tour.json": (json.dumps(TOUR).encode(), "application/json"),
         "/view/settings.json": (json.dumps(SETTINGS).encode(), "application/json"),
@@ -140,7 +139,7 @@ def serve_page(script: Path) -> Iterator[str]:
             found = files.get(path)
             if path == "/":
                 is_page = "text/html" in self.headers.get("accept", "")
-                page = ((pages / "list.html").read_bytes(), "text/html; charset=utf-8")
+                page = ((built / "list.html").read_bytes(), "text/html; charset=utf-8")
                 found = page if is_page else (json.dumps(scenes).encode(), "application/json")
             self.send_response(200 if found else 404)
             data, kind = found or (b"no such file", "text/plain")

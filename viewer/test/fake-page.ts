@@ -5,6 +5,7 @@ import type { Header, Marks, Paint, SourceState } from "../src/core/types.ts";
 import { readAddress } from "../src/page/address.ts";
 import { meta } from "../src/page/dom.ts";
 import { ViewPage } from "../src/page/view.ts";
+import { speakLanguage } from "../src/page/words.ts";
 import type { PageCamera, Pick, Statistics, ViewerLike, ViewerOptions } from "../src/page/viewer-like.ts";
 
 const HEADER: Header = {
@@ -68,7 +69,7 @@ class FakeViewer extends EventTarget implements ViewerLike {
   get statistics(): Statistics {
     const share = this.share;
     return {
-      fps: 58, frames: 100, drawn: 412_000 * share, gaussians: Math.round(780_582 * share),
+      fps: 58, frames: 100, drawn: 412_000 * share, gaussians: Math.round(780_582 * share), dropped: 0,
       terms: Math.round(1_240_000 * share),
       bytes: 7.2e6 * share, rate: 1.25e6, firstImageSeconds: 0.43, state: this.state,
     };
@@ -156,6 +157,7 @@ function dots(): { at: [number, number, number]; color: string; size: number }[]
   return found;
 }
 
+await speakLanguage();
 const page = readAddress(
   location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings"), origins: meta("origins"), visitor: meta("visitor") },
 );

@@ -30,7 +30,7 @@ export interface ScenePick {
   opacity: number;
 }
 
-const ATTRIBUTES = ["src", "eye", "to", "up", "fov", "mode", "noui", "settings", "poster", "sandbox"] as const;
+const ATTRIBUTES = ["src", "eye", "to", "up", "fov", "mode", "noui", "settings", "poster", "sandbox", "lang"] as const;
 const VIEW = ["eye", "to", "fov"];
 const ALLOWED = "fullscreen; xr-spatial-tracking; clipboard-write; gamepad";
 const LONGEST_MS = 30_000; // until a question without an answer fails
@@ -239,6 +239,8 @@ function addressOf(src: string, element: GsvisViewerElement): string {
   if (isScene) page.searchParams.set("content", scene.href);
   const settings = element.getAttribute("settings");
   if (settings) page.searchParams.set("settings", new URL(settings, document.baseURI).href);
+  const lang = element.closest<HTMLElement>("[lang]")?.lang; // its own, else that of the page around it
+  if (lang && !page.searchParams.has("lang")) page.searchParams.set("lang", lang);
   if (element.noui) page.searchParams.set("noui", "");
   const view = ["eye", "to", "up", "fov", "mode"].map((name) => [name, element.getAttribute(name)?.replace(/[\s,]+/g, ",")]);
   const hash = view.filter(([, value]) => value).map(([name, value]) => `${name}=${value}`).join("&");

@@ -1,6 +1,8 @@
 // Which scene a page shows: from its meta elements, the query, or the path. All addresses are relative to the page's.
 // A page opens its own origin alone, and those that whoever wrote the page names: no link can add one.
 
+import { text } from "./words.ts";
+
 /** A scene: streamed, or read from files. `root` is its server's first address, null where there is none to ask. */
 export interface SceneAddress {
   kind: "stream" | "static";
@@ -90,9 +92,9 @@ function findScene(page: URL, named: string | null): SceneAddress | null {
 }
 
 function nameOf(url: string): string {
-  if (url === "inline:") return document.title.replace(/ · gsvis$/, "") || "Scene";
+  if (url === "inline:") return document.title.replace(/ · gsvis$/, "") || text("page.unnamed");
   const parts = new URL(url).pathname.replace(/\/?(scene\.json|index\.html)?$/, "").split("/");
-  return decode(parts.pop() || "Scene").replace(/\.(gsvis|json)$/, "").slice(0, 80);
+  return decode(parts.pop() || text("page.unnamed")).replace(/\.(gsvis|json)$/, "").slice(0, 80);
 }
 
 function decode(text: string): string {

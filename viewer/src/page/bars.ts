@@ -4,7 +4,9 @@ import type { Actions } from "./actions.ts";
 import { actionButton, choices } from "./controls.ts";
 import { make, setText } from "./dom.ts";
 import { icon } from "./icons.ts";
+import { MODES } from "./navigator.ts";
 import type { Mode } from "./navigator.ts";
+import { text } from "./words.ts";
 
 const TOOLS = ["inspect", "statistics", "share", "picture", "vr", "full", "options", "help"] as const;
 const WIDE_ONLY = new Set(["statistics", "share", "picture", "full"]); // phones find these among the options
@@ -15,14 +17,14 @@ export class TitleBar {
   readonly #progress = make(
     "div",
     {
-      class: "progress", role: "progressbar", "aria-label": "Loading", "aria-valuemin": 0, "aria-valuemax": 100,
+      class: "progress", role: "progressbar", "aria-label": text("bar.progress"), "aria-valuemin": 0, "aria-valuemax": 100,
       hidden: true,
     },
   );
 
   constructor(name: string, home: string | null) {
     const back = home
-      ? make("a", { class: "tool", href: home, "aria-label": "All scenes", title: "All scenes" }, icon("back"))
+      ? make("a", { class: "tool", href: home, "aria-label": text("list.back"), title: text("list.back") }, icon("back"))
       : null;
     this.element.append(...(back ? [back] : []), make("div", {}, make("h1", {}, name), this.state), this.#progress);
   }
@@ -39,7 +41,7 @@ export class TitleBar {
 }
 
 export function toolBar(actions: Actions): HTMLElement {
-  const bar = make("div", { class: "tools", role: "group", "aria-label": "Tools" });
+  const bar = make("div", { class: "tools", role: "group", "aria-label": text("bar.tools") });
   for (const id of TOOLS) {
     const button = actionButton(actions, id);
     if (WIDE_ONLY.has(id)) button.classList.add("wide");
@@ -55,16 +57,16 @@ interface DockTargets {
 }
 
 export class Dock {
-  readonly element = make("div", { class: "dock", role: "group", "aria-label": "Moving" });
+  readonly element = make("div", { class: "dock", role: "group", "aria-label": text("bar.moving") });
   readonly #modes: { element: HTMLElement; refresh(): void };
   readonly #label = make("output", { class: "view-name" });
-  private readonly views = make("div", { class: "views", role: "group", "aria-label": "Views" });
+  private readonly views = make("div", { class: "views", role: "group", "aria-label": text("bar.views") });
 
   constructor(actions: Actions, private readonly targets: DockTargets) {
-    this.#modes = choices<Mode>("mode", "Way to move", [
-      { value: "orbit", label: "Orbit", icon: "orbit" }, { value: "fly", label: "Fly", icon: "fly" },
-      { value: "walk", label: "Walk", icon: "walk" },
-    ], targets.mode, targets.setMode);
+    this.#modes = choices<Mode>(
+      "mode", text("mode.title"), MODES.map((value) => ({ value, label: text(`mode.${value}`), icon: value })),
+      targets.mode, targets.setMode,
+    );
     this.views.append(actionButton(actions, "previous"), this.#label, actionButton(actions, "next"));
     this.element.append(this.#modes.element, actionButton(actions, "home"), actionButton(actions, "play"), this.views);
   }

@@ -6,12 +6,12 @@ import type { Cells, Facts, StartPose } from "./facts.ts";
 import type { Floor } from "./ground.ts";
 import { readHash } from "./hash.ts";
 import type { View } from "./hash.ts";
-import { BAD_HASH, FAR_HASH } from "./messages.ts";
 import type { Mode } from "./navigator.ts";
 import { DEGREES, NORMAL_FOV, rigFromPose, rigFromTarget } from "./rig.ts";
 import type { Rig } from "./rig.ts";
 import { add, boundsOf, distance, rotate, scale } from "./vector.ts";
 import type { Frame, Vec3 } from "./vector.ts";
+import { text } from "./words.ts";
 
 const PATIENCE = 2500; // milliseconds that a first picture waits for facts
 const REACH = 3; // scene units ahead of a proposed view, until it is known what lies there
@@ -67,9 +67,9 @@ export function begin(hash: string, views: readonly View[], frame: Frame, around
   const focused = views.length > 0 || (around.poses[0] ? around.poses[0].reach !== undefined : cells !== null && outside);
   const view = views[0] ?? { fov: NORMAL_FOV / DEGREES };
   const first = { rig: firstRig(views, frame, around), view, mode, focused, problem: null };
-  if (asked instanceof Error) return { ...first, problem: BAD_HASH };
+  if (asked instanceof Error) return { ...first, problem: text("say.hash") };
   if (!asked) return first;
-  if (cells && isFar(asked.eye, cells)) return { ...first, problem: FAR_HASH };
+  if (cells && isFar(asked.eye, cells)) return { ...first, problem: text("say.far") };
   return { rig: rigFromView(asked, frame), view: asked, mode: asked.mode ?? mode, problem: null, focused: true };
 }
 

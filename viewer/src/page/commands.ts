@@ -1,6 +1,7 @@
 // What buttons and keys do: names, keys and icons of everything that the page can be asked for.
 
 import type { Actions } from "./actions.ts";
+import { text } from "./words.ts";
 
 /** What the page offers; states are asked whenever something has changed. */
 export interface Commands {
@@ -36,39 +37,39 @@ export function defineActions(actions: Actions, page: Commands): void {
   const several = (): boolean => page.views() > 1;
   const all = [
     {
-      id: "inspect", label: "Inspect: click a Gaussian", key: "i", icon: "inspect", pressed: page.inspecting,
+      id: "inspect", label: text("action.inspect"), key: "i", icon: "inspect", pressed: page.inspecting,
       available: page.explains,
       run: page.toggleInspecting,
     },
-    { id: "options", label: "Options", key: "o", icon: "options", pressed: page.optionsShown, run: page.toggleOptions },
+    { id: "options", label: text("action.options"), key: "o", icon: "options", pressed: page.optionsShown, run: page.toggleOptions },
     {
-      id: "statistics", label: "Statistics", key: "t", icon: "statistics", pressed: page.statisticsShown,
+      id: "statistics", label: text("action.statistics"), key: "t", icon: "statistics", pressed: page.statisticsShown,
       available: page.explains,
       run: page.toggleStatistics,
     },
-    { id: "share", label: "Copy link to this view", key: "c", icon: "share", run: page.share },
-    { id: "picture", label: "Save picture", key: "p", icon: "picture", run: page.savePicture },
-    { id: "paint", label: "Color shows the next", key: "g", available: page.explains, run: page.nextPaint },
-    { id: "cells", label: "Cells", key: "b", available: () => page.explains() && page.cellsKnown(), run: page.toggleCells },
-    { id: "home", label: "First view", key: "r", icon: "home", run: page.goHome },
+    { id: "share", label: text("action.share"), key: "c", icon: "share", run: page.share },
+    { id: "picture", label: text("action.picture"), key: "p", icon: "picture", run: page.savePicture },
+    { id: "paint", label: text("action.paint"), key: "g", available: page.explains, run: page.nextPaint },
+    { id: "cells", label: text("action.cells"), key: "b", available: () => page.explains() && page.cellsKnown(), run: page.toggleCells },
+    { id: "home", label: text("action.home"), key: "r", icon: "home", run: page.goHome },
     {
-      id: "previous", label: "Previous view", key: ",", icon: "back", available: several, run: () => page.stepView(-1),
+      id: "previous", label: text("action.previous"), key: ",", icon: "back", available: several, run: () => page.stepView(-1),
     },
-    { id: "next", label: "Next view", key: ".", icon: "next", available: several, run: () => page.stepView(1) },
+    { id: "next", label: text("action.next"), key: ".", icon: "next", available: several, run: () => page.stepView(1) },
     {
-      id: "play", label: "Play the animation", key: "k", icon: "play", available: page.animated, pressed: page.playing,
+      id: "play", label: text("action.play"), key: "k", icon: "play", available: page.animated, pressed: page.playing,
       run: page.togglePlaying,
     },
-    { id: "mode", label: "Next way to move", key: "m", run: page.nextMode },
-    { id: "full", label: "Full screen", key: "f", icon: "full", available: () => document.fullscreenEnabled === true,
+    { id: "mode", label: text("action.mode"), key: "m", run: page.nextMode },
+    { id: "full", label: text("action.full"), key: "f", icon: "full", available: () => document.fullscreenEnabled === true,
       pressed: () => document.fullscreenElement !== null, run: page.toggleFull },
     {
-      id: "vr", label: "Virtual reality", key: "v", icon: "headset", available: page.vrOffered, pressed: page.vrOn,
+      id: "vr", label: text("action.vr"), key: "v", icon: "headset", available: page.vrOffered, pressed: page.vrOn,
       run: page.toggleVr,
     },
-    { id: "theme", label: "Dark or light", key: "l", run: page.toggleTheme },
-    { id: "hide", label: "Only the scene", key: "x", run: page.toggleBare },
-    { id: "help", label: "Help", key: "?", icon: "help", run: page.help },
+    { id: "theme", label: text("action.theme"), key: "l", run: page.toggleTheme },
+    { id: "hide", label: text("action.hide"), key: "x", run: page.toggleBare },
+    { id: "help", label: text("action.help"), key: "?", icon: "help", run: page.help },
   ] as const;
   for (const action of all) actions.add(action);
 }

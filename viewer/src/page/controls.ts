@@ -4,10 +4,11 @@ import type { Actions } from "./actions.ts";
 import { make, on, setText } from "./dom.ts";
 import { icon } from "./icons.ts";
 import type { IconName } from "./icons.ts";
+import { text } from "./words.ts";
 
 export function actionButton(actions: Actions, id: string, withLabel = false): HTMLButtonElement {
   const action = actions.get(id);
-  const hint = action.key ? `${action.label} (${keyName(action.key)})` : action.label;
+  const hint = action.key ? text("action.hint", { label: action.label, key: keyName(action.key) }) : action.label;
   const button = make("button", { type: "button", class: withLabel ? "text" : "tool", title: hint, "data-action": id });
   if (action.icon) button.append(icon(action.icon));
   if (withLabel) button.append(action.label);

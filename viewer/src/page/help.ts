@@ -4,25 +4,11 @@ import type { Actions } from "./actions.ts";
 import { keyName } from "./controls.ts";
 import { make, on } from "./dom.ts";
 import { icon } from "./icons.ts";
+import { text } from "./words.ts";
 
-const MOVING: [string, string][] = [
-  ["Drag", "turn around, or look around"],
-  ["Right button", "move sideways; also Shift and drag"],
-  ["Wheel", "nearer, farther"],
-  ["Double click", "go there"],
-  ["W A S D, Q E", "move; with Shift faster"],
-  ["Arrow keys", "orbit; or walk and turn"],
-  ["+ −", "nearer, farther"],
-  ["1 to 9", "saved views"],
-];
-
-const TOUCHING: [string, string][] = [
-  ["One finger", "turn around, or look around"],
-  ["Two fingers", "move sideways; pinch to go nearer"],
-  ["Double tap", "go there"],
-  ["Thumb stick", "fly or walk"],
-  ["Gamepad", "left stick moves, right stick looks, triggers sink and rise"],
-];
+// names of texts: what is done, and what it does
+const MOVING = ["drag", "right", "wheel", "double", "letters", "arrows", "plus", "digits"] as const;
+const TOUCHING = ["finger", "fingers", "tap", "stick", "pad"] as const;
 
 export class Help {
   readonly element = make("dialog", { class: "help", "aria-labelledby": "help-title" });
@@ -34,24 +20,29 @@ export class Help {
   }
 
   open(): void {
-    const close = make("button", { type: "button", class: "tool", "aria-label": "Close the help" }, icon("close"));
+    const close = make("button", { type: "button", class: "tool", "aria-label": text("help.close") }, icon("close"));
     on(close, "click", () => this.element.close());
     const keys = this.actions.list().filter((action) => action.key && action.available?.() !== false)
       .map((action): [string, string] => [keyName(action.key ?? ""), action.label]);
     this.element.replaceChildren(
-      make("header", {}, make("h2", { id: "help-title" }, "Help"), close),
-      make("div", { class: "columns", tabindex: 0, role: "group", "aria-label": "Controls" },
-        table("Mouse and keys", MOVING), table("Touch and gamepad", TOUCHING), table("Shortcuts", keys)),
+      make("header", {}, make("h2", { id: "help-title" }, text("action.help")), close),
+      make("div", { class: "columns", tabindex: 0, role: "group", "aria-label": text("help.controls") },
+        table(text("help.mouse"), MOVING.map(rowOf)), table(text("help.touch"), TOUCHING.map(rowOf)),
+        table(text("help.keys"), keys)),
     );
     this.element.showModal();
   }
 }
 
+function rowOf(name: (typeof MOVING | typeof TOUCHING)[number]): [string, string] {
+  return [text(`help.${name}`), text(`help.${name}.does`)];
+}
+
 function table(title: string, rows: [string, string][]): HTMLElement {
   const list = make("dl");
-  for (const [key, text] of rows) {
+  for (const [key, does] of rows) {
     list.append(
-      make("div", {}, make("dt", {}, make("kbd", {}, key)), make("dd", {}, text))
+      make("div", {}, make("dt", {}, make("kbd", {}, key)), make("dd", {}, does))
     );
   }
   return make("section", {}, make("h3", {}, title), list);

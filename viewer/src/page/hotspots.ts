@@ -7,7 +7,7 @@ import { LONGER } from "./hash.ts";
 import type { View } from "./hash.ts";
 import { icon } from "./icons.ts";
 import { fields, list, vector } from "./json.ts";
-import { offer } from "./parts.ts";
+import { offer, textOfPage } from "./parts.ts";
 import { project } from "./project.ts";
 import type { Place } from "./project.ts";
 import { FOV_DEGREES } from "./rig.ts";
@@ -115,7 +115,7 @@ class Hotspots {
 
   #show(i: number): void {
     const { title, text, link, view } = this.spots[i];
-    const close = make("button", { type: "button", class: "tool", "aria-label": "Close" }, icon("close"));
+    const close = make("button", { type: "button", class: "tool", "aria-label": textOfPage("spot.close") }, icon("close"));
     on(close, "click", () => this.#close());
     this.#card.replaceChildren(
       make("header", {}, make("h2", {}, title), close), text ? make("p", {}, text) : "",

@@ -3,13 +3,14 @@
 import * as gsvis from "../core/index.ts";
 import { permitOf, readAddress } from "./address.ts";
 import { make, meta } from "./dom.ts";
-import { NO_SCENE, REFUSED_SCENE } from "./messages.ts";
+import { messageOf } from "./messages.ts";
 import { Notices } from "./notice.ts";
 import { awaitStream, locate } from "./scene.ts";
 import { part } from "./parts.ts";
 import { ThemeChoice } from "./theme.ts";
 import { ViewPage } from "./view.ts";
 import type { Core } from "./view.ts";
+import { speakLanguage } from "./words.ts";
 
 type Early = { gsvisEarly?: { base: string; worker: Worker } | null };
 
@@ -23,6 +24,7 @@ function takeEarly(url: string): gsvis.StaticOptions {
   return {};
 }
 
+await speakLanguage();
 const origins = meta("origins"), permits = permitOf(location.href, origins), isOwn = permitOf(location.href);
 const page = readAddress(
   location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings"), visitor: meta("visitor"), origins },
@@ -46,5 +48,5 @@ if (page.scene) {
   const notices = new Notices({ retry: () => location.reload(), token: () => undefined });
   new ThemeChoice(() => undefined);
   document.querySelector("main")?.replaceChildren(notices.card, make("p"));
-  notices.stop(/[?&]content=/.test(location.search) ? REFUSED_SCENE : NO_SCENE);
+  notices.stop(/[?&]content=/.test(location.search) ? messageOf("refused") : messageOf("scene"));
 }

@@ -3,11 +3,11 @@
 import type { Header } from "../core/types.ts";
 import { make } from "./dom.ts";
 import type { Facts } from "./facts.ts";
-import { NOT_SERVED } from "./messages.ts";
 import type { Side } from "./side.ts";
 import type { ViewerLike } from "./viewer-like.ts";
 import { describePick, describeWhy } from "./why-card.ts";
 import type { Place } from "./why-card.ts";
+import { text } from "./words.ts";
 
 interface InspectorTargets {
   side: Side;
@@ -17,8 +17,6 @@ interface InspectorTargets {
   place(): Place;
   speak(text: string): void;
 }
-
-const TITLE = "Why is this here?";
 
 export class Inspector {
   readonly mark = make("i", { class: "mark", hidden: true, "aria-hidden": "true" });
@@ -35,25 +33,25 @@ export class Inspector {
     const pick = await viewer?.pick(x, y);
     if (!viewer || viewer !== this.targets.viewer() || turn !== this.#asked) return;
     if (!pick) {
-      side.open("why", TITLE, note("Nothing is here: no Gaussian reaches this pixel."));
+      side.open("why", text("why.title"), note(text("why.nothing")));
       return;
     }
     this.mark.style.setProperty("left", `${x}px`);
     this.mark.style.setProperty("top", `${y}px`);
     this.mark.hidden = false;
-    speak(`Gaussian ${pick.id}`);
+    speak(text("why.gaussian", { id: String(pick.id) }));
     const summary = describePick(pick, this.targets.header());
-    if (!facts.known) return side.open("why", TITLE, summary, note(NOT_SERVED));
-    const pending = note("Asking the server …");
-    side.open("why", TITLE, summary, pending);
+    if (!facts.known) return side.open("why", text("why.title"), summary, note(text("say.served")));
+    const pending = note(text("why.asking"));
+    side.open("why", text("why.title"), summary, pending);
     const [why, cells] = await Promise.all([facts.why(pick.id), facts.cells()]);
     if (!pending.isConnected) return;
     pending.replaceWith(
-      ...(why ? describeWhy(why, pick, cells, this.targets.place()) : [note("The server knows no more about it.")])
+      ...(why ? describeWhy(why, pick, cells, this.targets.place()) : [note(text("why.unknown"))])
     );
   }
 }
 
-function note(text: string): HTMLElement {
-  return make("p", { class: "empty" }, text);
+function note(line: string): HTMLElement {
+  return make("p", { class: "empty" }, line);
 }

@@ -2,6 +2,7 @@
 
 import { make } from "./dom.ts";
 import type { ViewerLike } from "./viewer-like.ts";
+import { text } from "./words.ts";
 
 type Say = (line: string) => void;
 
@@ -11,9 +12,9 @@ const KEPT_MS = 10_000; // until the memory of a picture that was saved is freed
 export async function copyLink(say: Say): Promise<void> {
   try {
     await navigator.clipboard.writeText(location.href);
-    say("The link to this view is copied.");
+    say(text("say.copied"));
   } catch {
-    say("The address of this page holds the view; copy it from there.");
+    say(text("say.uncopied"));
   }
 }
 
@@ -29,9 +30,9 @@ export async function savePicture(viewer: ViewerLike | null, name: string, say: 
   if (!viewer) return;
   try {
     saveAs(await viewer.screenshot(), `${name.replace(/[^\w.-]+/g, "_") || "scene"}.png`);
-    say("The picture is saved.");
+    say(text("say.saved"));
   } catch (error) {
-    say(`The picture could not be made. ${error instanceof Error ? error.message : ""}`.trim());
+    say(text("say.unsaved", { reason: reasonOf(error) }).trim());
   }
 }
 
@@ -41,8 +42,13 @@ export async function toggleFull(say: Say): Promise<void> {
     if (document.fullscreenElement) await document.exitFullscreen();
     else await document.documentElement.requestFullscreen();
   } catch {
-    say("The browser does not allow full screen here.");
+    say(text("say.full"));
   }
+}
+
+/** Return what an error says, "" for anything else. */
+export function reasonOf(error: unknown): string {
+  return error instanceof Error ? error.message : "";
 }
 
 /** Whether this browser draws with WebGL2. */

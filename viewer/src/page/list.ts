@@ -1,9 +1,10 @@
 // The page of all scenes of a server.
 
 import { make, setText } from "./dom.ts";
-import { formatCount } from "./format.ts";
+import { formatGaussians } from "./format.ts";
 import { icon } from "./icons.ts";
 import { ThemeChoice } from "./theme.ts";
+import { speakLanguage, text } from "./words.ts";
 
 interface ListedScene {
   name: string;
@@ -33,22 +34,26 @@ function countOf(row: unknown): number | null {
 
 export async function showList(): Promise<void> {
   new ThemeChoice(() => undefined);
+  await speakLanguage();
+  document.title = text("page.title", { name: text("list.title") });
+  setText(document.querySelector("h1")!, text("list.title"));
   const list = document.querySelector("#scenes");
   const state = document.querySelector("#state");
   if (!list || !state) return;
+  setText(state, text("list.loading"));
   try {
     const response = await fetch(location.href, { headers: { accept: "application/json" } });
-    if (!response.ok) throw new Error(`the server answered ${response.status}`);
+    if (!response.ok) throw new Error(text("list.answered", { status: String(response.status) }));
     const scenes = readScenes(await response.json());
     list.replaceChildren(...scenes.map(row));
-    setText(state, scenes.length === 0 ? "This server has no scene." : "");
+    setText(state, scenes.length === 0 ? text("list.empty") : "");
   } catch (error) {
-    setText(state, `The scenes could not be listed: ${error instanceof Error ? error.message : String(error)}.`);
+    setText(state, text("list.failed", { reason: error instanceof Error ? error.message : String(error) }));
   }
 }
 
 function row(scene: ListedScene): HTMLLIElement {
-  const count = scene.gaussians === null ? null : make("small", {}, `${formatCount(scene.gaussians)} Gaussians`);
+  const count = scene.gaussians === null ? null : make("small", {}, formatGaussians(scene.gaussians));
   return make(
     "li", {}, make("a", { href: scene.href }, make("span", {}, make("b", {}, scene.name), count), icon("next")),
   );

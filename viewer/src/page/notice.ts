@@ -2,6 +2,7 @@
 
 import { make, on, setText } from "./dom.ts";
 import type { Message } from "./messages.ts";
+import { text } from "./words.ts";
 
 const PASSES = 6000; // milliseconds
 
@@ -24,13 +25,13 @@ export class Notices {
     if (message.detail) {
       parts.push(
         make(
-          "details", { open: message.token === true }, make("summary", {}, "What was said"),
+          "details", { open: message.token === true }, make("summary", {}, text("notice.said")),
           make("code", {}, message.detail),
         )
       );
     }
     if (message.retry) {
-      const retry = make("button", { type: "button", class: "primary" }, "Try again");
+      const retry = make("button", { type: "button", class: "primary" }, text("notice.retry"));
       on(retry, "click", () => this.targets.retry());
       parts.push(retry);
     }
@@ -44,10 +45,10 @@ export class Notices {
   }
 
   /** Say something for some seconds, or until another line comes. */
-  say(text: string, lasting = false): void {
+  say(line: string, lasting = false): void {
     clearTimeout(this.#timer);
-    setText(this.line, text);
-    if (text && !lasting) this.#timer = window.setTimeout(() => setText(this.line, ""), PASSES);
+    setText(this.line, line);
+    if (line && !lasting) this.#timer = window.setTimeout(() => setText(this.line, ""), PASSES);
   }
 
   #tokenForm(): HTMLFormElement {
@@ -59,8 +60,8 @@ export class Notices {
       "input", { type: "text", name: "username", autocomplete: "username", value: "gsvis", hidden: true },
     );
     const form = make(
-      "form", { class: "token" }, user, make("label", { for: "token" }, "Token"), input,
-      make("button", { class: "primary" }, "Open"),
+      "form", { class: "token" }, user, make("label", { for: "token" }, text("notice.token")), input,
+      make("button", { class: "primary" }, text("notice.open")),
     );
     on(form, "submit", (event) => {
       event.preventDefault();

@@ -2,33 +2,38 @@
 
 import type { Header, Paint } from "../core/types.ts";
 import type { Choice } from "./controls.ts";
+import { text } from "./words.ts";
 
-interface PaintChoice extends Choice<Paint> {
+export interface PaintChoice extends Choice<Paint> {
   fits?(header: Header): boolean;
   marked?: true; // needs the marks of a scene with cells
 }
 
-export const PAINTS: readonly PaintChoice[] = [
-  { value: "color", label: "Scene" },
-  { value: "level", label: "Level", fits: (header) => header.levels.length > 1 },
-  { value: "arrival", label: "Arrival" },
-  { value: "opacity", label: "Opacity" },
-  { value: "terms", label: "Terms", fits: (header) => header.terms > 0 },
-  { value: "depth", label: "Depth" },
-  { value: "visibility", label: "Visibility", marked: true },
-  { value: "weight", label: "Weight", marked: true },
+const ALL: readonly Omit<PaintChoice, "label">[] = [
+  { value: "color" },
+  { value: "level", fits: (header) => header.levels.length > 1 },
+  { value: "arrival" },
+  { value: "opacity" },
+  { value: "terms", fits: (header) => header.terms > 0 },
+  { value: "depth" },
+  { value: "visibility", marked: true },
+  { value: "weight", marked: true },
 ];
 
-export const LEGENDS: Record<Paint, { text: string; low?: string; high?: string }> = {
-  color: { text: "The scene in its own colors." },
-  level: { text: "The quality level that each Gaussian last belongs to.", low: "low", high: "high" },
-  arrival: { text: "The order in which the Gaussians have come.", low: "first", high: "last" },
-  opacity: { text: "How much light each Gaussian takes.", low: "faint", high: "solid" },
-  terms: { text: "How many terms of view-dependent color each Gaussian has.", low: "none", high: "many" },
-  depth: { text: "The distance from your eye.", low: "far", high: "near" },
-  visibility: { text: "From how many cells each Gaussian is seen.", low: "none", high: "all" },
-  weight: { text: "The largest share of a pixel that a Gaussian has, from any cell.", low: "small", high: "large" },
-};
+/** Return the ways to color a scene; `celled`: there are marks to ask for. */
+export function paintsOf(header: Header, celled: boolean): PaintChoice[] {
+  return ALL.filter(({ marked, fits }) => (marked ? celled : !fits || fits(header)))
+    .map((paint) => ({ ...paint, label: text(`paint.${paint.value}`) }));
+}
+
+/** Whether a way to color needs the marks of a scene with cells. */
+export const isMarked = (paint: Paint): boolean => ALL.some(({ value, marked }) => value === paint && marked);
+
+/** Return what a way to color shows, and what its lowest and its highest color mean. */
+export function legendOf(paint: Paint): { says: string; low?: string; high?: string } {
+  const says = text(`paint.${paint}.text`);
+  return paint === "color" ? { says } : { says, low: text(`paint.${paint}.low`), high: text(`paint.${paint}.high`) };
+}
 
 const RAMP = ["#211c5c", "#2b5e9e", "#299e8f", "#a8cc4d", "#fce86b"]; // as the core draws them
 

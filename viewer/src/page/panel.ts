@@ -5,11 +5,12 @@ import type { Header, Marks, Paint } from "../core/types.ts";
 import type { Actions } from "./actions.ts";
 import { actionButton, choices, slider, toggle } from "./controls.ts";
 import { make } from "./dom.ts";
-import { formatCount } from "./format.ts";
-import { LEGENDS, levelColor, PAINTS } from "./paints.ts";
-import { NOT_SERVED } from "./messages.ts";
+import { formatGaussians } from "./format.ts";
+import { isMarked, legendOf, levelColor, paintsOf } from "./paints.ts";
+import type { PaintChoice } from "./paints.ts";
 import type { Theme } from "./theme.ts";
 import type { ViewerLike } from "./viewer-like.ts";
+import { text } from "./words.ts";
 
 interface PanelTargets {
   viewer: () => ViewerLike | null;
@@ -48,35 +49,38 @@ export class Panel {
     if (viewer && header) {
       const paints = this.#paints(header);
       sections.push(
-        add(choices("paint", "Color shows", paints, () => viewer.paint, (paint) => void this.#setPaint(paint), "chips")),
+        add(choices("paint", text("options.paint"), paints, () => viewer.paint, (paint) => void this.#setPaint(paint), "chips")),
         this.#legend,
       );
       if (header.levels.length > 1) sections.push(this.levels(viewer, header, add));
       const detailed = header.terms > 0 || header.harmonics !== null;
-      if (detailed || targets.cells.known()) sections.push(section("Parts",
-        detailed ? add(toggle("View-dependent color", "Highlights that change as you move",
+      if (detailed || targets.cells.known()) sections.push(section(text("options.parts"),
+        detailed ? add(toggle(text("options.detail"), text("options.detail.text"),
           () => viewer.termsShown, (shown) => void (viewer.termsShown = shown))) : null,
         targets.cells.known()
-          ? add(toggle("Cells", "The boxes that visible sets are made for", targets.cells.shown, targets.cells.show))
+          ? add(toggle(text("options.cells"), text("options.cells.text"), targets.cells.shown, targets.cells.show))
           : null,
-        targets.served() ? null : make("p", { class: "legend" }, NOT_SERVED),
+        targets.served() ? null : make("p", { class: "legend" }, text("say.served")),
       ));
     }
     const { fov, pace, theme } = targets;
     sections.push(
-      section("Camera",
+      section(text("options.camera"),
         add(
           slider(
-            "fov", "Field of view", { low: 20, high: 110, step: 1, text: (x) => `${Math.round(x)}°` }, fov.degrees,
+            "fov", text("options.fov"), {
+              low: 20, high: 110, step: 1, text: (x) => text("number.degrees", { degrees: Math.round(x) }),
+            }, fov.degrees,
             fov.choose,
           ),
         ),
-        add(slider("pace", "Pace", { low: -2, high: 2, step: 0.5, text: (x) => `${Number((2 ** x).toFixed(2))} ×` },
+        add(slider("pace", text("options.pace"), {
+          low: -2, high: 2, step: 0.5, text: (x) => text("number.times", { factor: 2 ** x }),
+        },
           () => Math.log2(pace.factor()), (x) => pace.choose(2 ** x))),
       ),
-      section("Appearance", add(choices<Theme>("theme", "Appearance", [
-        { value: "auto", label: "System" }, { value: "light", label: "Light" }, { value: "dark", label: "Dark" },
-      ],
+      section(text("options.appearance"), add(choices<Theme>("theme", text("options.appearance"),
+        (["auto", "light", "dark"] as const).map((value) => ({ value, label: text(`theme.${value}`) })),
         () => theme.chosen, (chosen) => theme.choose(chosen)))),
       this.#buttons,
     );
@@ -90,9 +94,8 @@ export class Panel {
     if (viewer) this.#showLegend(viewer.paint);
   }
 
-  #paints(header: Header): typeof PAINTS {
-    const celled = this.targets.cells.known() && this.targets.served();
-    return PAINTS.filter(({ marked, fits }) => (marked ? celled : !fits || fits(header)));
+  #paints(header: Header): PaintChoice[] {
+    return paintsOf(header, this.targets.cells.known() && this.targets.served());
   }
 
   /** Take the next way to color. */
@@ -108,7 +111,7 @@ export class Panel {
   async #setPaint(paint: Paint): Promise<void> {
     const viewer = this.targets.viewer();
     if (viewer) viewer.paint = paint;
-    if (viewer && PAINTS.some(({ value, marked }) => value === paint && marked) && !viewer.marks[paint]) {
+    if (viewer && isMarked(paint) && !viewer.marks[paint]) {
       viewer.marks = (await this.targets.marks()) ?? {};
     }
     this.refresh();
@@ -116,10 +119,10 @@ export class Panel {
   }
 
   #showLegend(paint: Paint): void {
-    const { text, low, high } = LEGENDS[paint];
+    const { says, low, high } = legendOf(paint);
     const ramp = make("i", { class: `ramp ${paint}` });
     const bar = low ? make("span", { class: "bar" }, make("small", {}, low), ramp, make("small", {}, high)) : null;
-    this.#legend.replaceChildren(make("span", {}, text), ...(bar ? [bar] : []));
+    this.#legend.replaceChildren(make("span", {}, says), ...(bar ? [bar] : []));
   }
 
   private levels(viewer: ViewerLike, header: Header, add: (part: Part) => HTMLElement): HTMLElement {
@@ -130,14 +133,14 @@ export class Panel {
         viewer.levelsShown = next;
       };
       const row = add(
-        toggle(level.name, `${formatCount(level.count)} Gaussians`, () => viewer.levelsShown[i] ?? true, change),
+        toggle(level.name, formatGaussians(level.count), () => viewer.levelsShown[i] ?? true, change),
       );
       const dot = make("i", { class: "dot" });
       dot.style.setProperty("background", levelColor(i, header.levels.length));
       row.prepend(dot);
       return row;
     });
-    return section("Levels", ...rows);
+    return section(text("options.levels"), ...rows);
   }
 }
 

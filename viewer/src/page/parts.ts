@@ -2,12 +2,15 @@
 
 import type { Stage } from "./stage.ts";
 import type { Tour } from "./tour.ts";
+import type { Key, Values, Words } from "./words.ts";
 
 /** What each script offers. */
 interface Parts {
   tour(settings: unknown): Tour;
   hotspots(stage: Stage, settings: unknown): HTMLElement;
   embed(stage: Stage, embedders: readonly string[]): void;
+  text(key: Key, values?: Values): string; // of the page itself
+  [words: `words-${string}`]: Words; // texts of a language
 }
 
 type Held = { gsvisParts?: Partial<Parts> };
@@ -22,4 +25,9 @@ export async function part<K extends keyof Parts>(name: K): Promise<Parts[K]> {
   const held = globalThis as Held;
   if (!held.gsvisParts?.[name]) await import(new URL(`${name}.js`, import.meta.url).href);
   return held.gsvisParts![name] as Parts[K];
+}
+
+/** Return a text of the page, in scripts of their own: they hold no texts. */
+export function textOfPage(key: Key, values?: Values): string {
+  return (globalThis as Held).gsvisParts!.text!(key, values);
 }

@@ -9,6 +9,7 @@ import { fields, list, vector } from "./json.ts";
 import { FOV_DEGREES } from "./rig.ts";
 import { clamp, distance } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
+import { text } from "./words.ts";
 
 export interface Settings {
   views: View[];
@@ -24,9 +25,9 @@ const FARTHEST = 1e6; // of a coordinate, as on the wire
 /** Return what the viewer can use of settings; throw an Error that says what is wrong. */
 export function readSettings(json: unknown): Settings {
   const all = fields(json);
-  if (!all) throw new Error("settings: expected a JSON object");
+  if (!all) throw new Error(text("say.settings.object"));
   if (all.version !== undefined && all.version !== 1 && all.version !== 2) {
-    throw new Error(`settings: expected version 1 or 2, got ${String(all.version).slice(0, 20)}`);
+    throw new Error(text("say.settings.version", { version: String(all.version).slice(0, 20) }));
   }
   const own = all.frame === "scene";
   const views: View[] = [];

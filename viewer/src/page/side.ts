@@ -2,6 +2,7 @@
 
 import { make, on } from "./dom.ts";
 import { icon } from "./icons.ts";
+import { text } from "./words.ts";
 
 export class Side {
   readonly element = make("section", { class: "side", hidden: true, "aria-labelledby": "side-title" });
@@ -14,7 +15,7 @@ export class Side {
 
   constructor(private readonly changed: () => void) {
     const close = make(
-      "button", { type: "button", class: "tool", "aria-label": "Close the panel", title: "Close (Esc)" }, icon("close"),
+      "button", { type: "button", class: "tool", "aria-label": text("side.close"), title: text("side.close.hint") }, icon("close"),
     );
     on(close, "click", () => this.close());
     this.element.append(make("header", {}, this.#title, close), this.#body);

@@ -4,7 +4,7 @@
 import { LONGER } from "./hash.ts";
 import type { View } from "./hash.ts";
 import { fields, isPositive, list, numbers } from "./json.ts";
-import { offer } from "./parts.ts";
+import { offer, textOfPage } from "./parts.ts";
 import { FOV_DEGREES } from "./rig.ts";
 import { clamp } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
@@ -27,7 +27,7 @@ export function readTour(settings: unknown): Tour {
   const fovs = values?.fov === undefined ? new Array<number>(n).fill(fov) : numbers(values.fov, n);
   const rises = times?.every((time, k) => k === 0 || time > times[k - 1]);
   if (!track || !times || !eyes || !targets || !fovs || !rises || n < 1 || n > MOST_KEYS || !isPositive(track.duration)) {
-    throw new Error("settings: expected an animation with rising times, a position and a target for each, got another");
+    throw new Error(textOfPage("say.settings.track"));
   }
   const { duration, loopMode } = track, rate = isPositive(track.frameRate) ? track.frameRate : RATE;
   const frames = times.map((time) => time * (isPositive(track.frameRate) ? 1 : rate));

@@ -17,8 +17,8 @@ import type { View } from "./hash.ts";
 import { Help } from "./help.ts";
 import { Inspector } from "./inspector.ts";
 import { colorOf } from "./format.ts";
-import { copyLink, offersWebGL, savePicture, toggleFull } from "./keep.ts";
-import { BAD_HASH, describeState, explainFailure, LOST_CONTEXT, NO_ANSWER, NOTHING, NO_WALLS, NO_WEBGL } from "./messages.ts";
+import { copyLink, offersWebGL, reasonOf, savePicture, toggleFull } from "./keep.ts";
+import { describeState, explainFailure, messageOf } from "./messages.ts";
 import { MODES } from "./navigator.ts";
 import type { Mode, Navigator } from "./navigator.ts";
 import { Notices } from "./notice.ts";
@@ -39,6 +39,7 @@ import { frameFromUp } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
 import type { PageCamera, ViewerLike, ViewerOptions } from "./viewer-like.ts";
 import { WalkGround } from "./walk.ts";
+import { text } from "./words.ts";
 import { Immersion } from "./xr.ts";
 
 export interface Core {
@@ -120,7 +121,7 @@ export class ViewPage {
     this.#dock = new Dock(this.#actions, {
       mode: () => this.#navigator.mode, setMode: (mode) => this.#setMode(mode),
       views: () => ({
-        count: this.#views.length, label: this.#views[this.#view]?.name ?? `${this.#view + 1} of ${this.#views.length}`,
+        count: this.#views.length, label: this.#views[this.#view]?.name ?? text("bar.view", { number: this.#view + 1, count: this.#views.length }),
       }),
     });
     this.#panel = new Panel({
@@ -145,7 +146,7 @@ export class ViewPage {
 
   #build(): void {
     const poster = this.#root.querySelector(".poster");
-    document.title = meta("title") ?? `${this.scene.name} · gsvis`;
+    document.title = meta("title") ?? text("page.title", { name: this.scene.name });
     if (this.page.bare) document.documentElement.dataset.bare = "";
     this.#root.replaceChildren(
       this.#canvas, this.#overlay.element, ...(poster ? [poster] : []), this.#inspector.mark, this.#title.element, toolBar(this.#actions),
@@ -153,7 +154,7 @@ export class ViewPage {
       this.#drive.joystick.element, this.#dock.element, this.#notices.line, this.#notices.card, this.#spoken,
       make(
         "p", { id: "keys", class: "hidden" },
-        "Drag or use the arrow keys to look around, W A S D to move, question mark for help.",
+        text("page.keys"),
       ), this.#help.element,
     );
     this.#setMode("orbit");
@@ -187,7 +188,7 @@ export class ViewPage {
       if (!this.page.settings) return;
       try {
         const response = await fetch(this.page.settings);
-        if (!response.ok) throw new Error(`settings: the server answered ${response.status}`);
+        if (!response.ok) throw new Error(text("say.settings.status", { status: String(response.status) }));
         const said: unknown = await response.json();
         this.#settings = readSettings(said);
         if (this.#settings.animated) {
@@ -195,7 +196,7 @@ export class ViewPage {
         }
         if (this.#settings.spots) void this.#showSpots(said);
       } catch (error) {
-        this.#notices.say(`The settings could not be used. ${error instanceof Error ? error.message : ""}`.trim());
+        this.#notices.say(text("say.settings", { reason: reasonOf(error) }).trim());
       }
     };
     const known = survey(this.#facts);
@@ -211,7 +212,7 @@ export class ViewPage {
     this.#header = null;
     this.#misses = 0;
     this.#canvas.replaceWith((this.#canvas = make("canvas", {
-      tabindex: 0, role: "application", "aria-label": `Scene ${this.scene.name}`, "aria-describedby": "keys",
+      tabindex: 0, role: "application", "aria-label": text("page.scene", { name: this.scene.name }), "aria-describedby": "keys",
     })));
     this.#drive.listen(this.#canvas);
     const { source, header, release } = holdPoses(this.core.makeSource(this.scene, this.#token));
@@ -224,18 +225,19 @@ export class ViewPage {
     } catch (error) {
       source.close();
       const message = error instanceof Error ? error.message : String(error);
-      this.#showState("failed", "Stopped", 0);
-      this.#notices.stop(offersWebGL() ? explainFailure(message) : { ...NO_WEBGL, detail: message });
+      this.#showState("failed", text("state.failed"), 0);
+      this.#notices.stop(offersWebGL() ? explainFailure(message) : { ...messageOf("webgl"), detail: message });
       return;
     }
     const viewer = this.#viewer;
     viewer.addEventListener("header", () => void (viewer.header && this.#takeHeader(viewer.header, source)));
     viewer.addEventListener("state", () => this.#takeState());
-    viewer.addEventListener("contextlost", () => this.#notices.say(LOST_CONTEXT, true));
+    viewer.addEventListener("contextlost", () => this.#notices.say(text("say.context"), true));
     viewer.addEventListener("contextrestored", () => this.#notices.say(""));
-    viewer.addEventListener(
-      "problem", (event) => this.#notices.say(event instanceof CustomEvent ? String(event.detail) : ""),
-    );
+    viewer.addEventListener("problem", (event) => this.#notices.say(
+      viewer.statistics.dropped ? text("say.memory", { count: viewer.statistics.gaussians })
+        : text("say.broken", { reason: event instanceof CustomEvent ? String(event.detail) : "" }),
+    ));
     this.#takeState();
     this.#fill(this.#header);
   }
@@ -268,7 +270,7 @@ export class ViewPage {
     this.#facts = factsOf(scene);
     this.#ready = this.#prepare();
     this.#restart();
-    this.#notices.say("The scene is prepared: it is streamed from now on.");
+    this.#notices.say(text("say.prepared"));
   }
 
   async #takeHeader(header: Header, source: Source): Promise<void> {
@@ -321,21 +323,21 @@ export class ViewPage {
       const code = "code" in state && typeof state.code === "number" ? state.code : undefined;
       this.#notices.stop(explainFailure(state.message, code));
     } else if (state.kind === "waiting" && !this.#header) {
-      if (++this.#misses === MISSES) this.#notices.stop({ ...NO_ANSWER, detail: state.message });
+      if (++this.#misses === MISSES) this.#notices.stop({ ...messageOf("silent"), detail: state.message });
     } else if (this.#header || state.kind !== "connecting") {
       this.#notices.clear();
     }
     if (state.kind === "waiting" && this.#header) this.#notices.say(
-      "The connection is lost. What has arrived stays; the rest comes when the server is back.", true,
+      text("say.lost"), true,
     );
-    else if (state.kind !== "connecting" && this.#notices.line.textContent?.startsWith("The connection is lost")) {
-      this.#notices.say(state.kind === "failed" ? "" : "Connected again.");
+    else if (state.kind !== "connecting" && this.#notices.line.textContent === text("say.lost")) {
+      this.#notices.say(state.kind === "failed" ? "" : text("say.again"));
     }
     if ((state.kind === "streaming" || state.kind === "complete") && "message" in state && state.message) {
-      this.#notices.say(String(state.message));
+      this.#notices.say(text("say.missing", { reason: String(state.message) }));
     }
     if (state.kind === "complete") void this.#focus();
-    if (state.kind === "complete") this.#speak("All that can be seen from here has arrived.");
+    if (state.kind === "complete") this.#speak(text("say.complete"));
     this.#look();
   }
 
@@ -348,7 +350,7 @@ export class ViewPage {
       now.state.kind, describeState(now.state, this.page.visitor ? null : now.gaussians), this.#header ? now.gaussians / this.#header.gaussians : 0,
     );
     this.#blank = now.state.kind === "complete" && !now.drawn ? this.#blank + 1 : 0;
-    if (this.#blank === BLANK_LOOKS) this.#notices.say(NOTHING);
+    if (this.#blank === BLANK_LOOKS) this.#notices.say(text("say.nothing"));
     if (!this.#figures.element.hidden) this.#figures.show(now, this.#header);
   }
 
@@ -419,7 +421,7 @@ export class ViewPage {
   #followHash(): void {
     if (location.hash === this.#ownHash) return;
     const asked = readHash(location.hash);
-    if (asked instanceof Error) return this.#notices.say(BAD_HASH);
+    if (asked instanceof Error) return this.#notices.say(text("say.hash"));
     if (!asked) return;
     this.#goToPlace(asked);
   }
@@ -448,7 +450,7 @@ export class ViewPage {
       },
       go: (view, now) => this.#goToPlace(view, now), turn: (mode) => this.#setMode(mode),
       find: async (x, y) => (await this.#viewer?.pick(x, y)) ?? null,
-      picture: () => this.#viewer?.screenshot() ?? Promise.reject(new Error("nothing is drawn yet")),
+      picture: () => this.#viewer?.screenshot() ?? Promise.reject(new Error(text("say.undrawn"))),
       say: (line) => this.#notices.say(line), follow: (each) => void this.#followers.push(each),
     };
   }
@@ -459,7 +461,7 @@ export class ViewPage {
     this.#navigator.setMode(mode);
     if (chosen) void this.#learnWalls();
     document.documentElement.dataset.mode = mode;
-    this.#speak(`Way to move: ${mode}`);
+    this.#speak(text("mode.spoken", { mode: text(`mode.${mode}`) }));
     if (this.#placed) {
       void this.#focus();
       this.#writeAddress();
@@ -476,7 +478,7 @@ export class ViewPage {
     const grid = await facts.walk();
     if (this.#walls !== facts) return;
     if (grid) this.#navigator.standOn(new WalkGround(grid));
-    else if (!this.#surroundings.floor) this.#notices.say(NO_WALLS);
+    else if (!this.#surroundings.floor) this.#notices.say(text("say.walls"));
     this.#drive.wake();
   }
 
@@ -486,7 +488,7 @@ export class ViewPage {
     this.#view = index;
     if (this.#navigator.mode === "walk" && !this.#navigator.canStandAt(view.eye)) this.#setMode("fly");
     this.#navigator.flyTo(this.#rigOf(view));
-    this.#speak(`View ${view.name ?? index + 1}`);
+    this.#speak(text("say.view", { name: view.name ?? index + 1 }));
     this.#actions.changed();
     this.#drive.wake();
   }
@@ -537,12 +539,12 @@ export class ViewPage {
       toggleInspecting: () => {
         this.#inspector.on = !this.#inspector.on;
         this.#canvas.classList.toggle("inspecting", this.#inspector.on);
-        this.#notices.say(this.#inspector.on ? "Click a point of the scene to see why it is here." : "");
+        this.#notices.say(this.#inspector.on ? text("say.inspect") : "");
       },
       optionsShown: () => this.#side.shows("options"),
       toggleOptions: () => {
         if (this.#side.shows("options")) this.#side.close();
-        else this.#side.open("options", "Options", this.#panel.element);
+        else this.#side.open("options", text("action.options"), this.#panel.element);
         this.#panel.refresh();
       },
       statisticsShown: () => !this.#figures.element.hidden,
@@ -558,7 +560,7 @@ export class ViewPage {
         this.#panel.refresh();
       },
       nextPaint: () => {
-        void this.#panel.nextPaint().then((label) => label && this.#notices.say(`Color shows: ${label}`));
+        void this.#panel.nextPaint().then((label) => label && this.#notices.say(text("paint.next", { label })));
       },
       goHome: () => this.#goHome(),
       views: () => this.#views.length,
@@ -593,7 +595,7 @@ export class ViewPage {
         await this.#viewer?.enterXr?.(session);
       });
     } catch (error) {
-      this.#notices.say(`The headset could not be used. ${error instanceof Error ? error.message : ""}`.trim());
+      this.#notices.say(text("say.headset", { reason: reasonOf(error) }).trim());
     }
     this.#actions.changed();
   }

@@ -12,6 +12,7 @@ export interface Statistics {
   frames: number;
   drawn: number;
   gaussians: number;
+  dropped: number; // did not fit into memory
   terms: number;
   bytes: number;
   rate: number;

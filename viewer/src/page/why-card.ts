@@ -10,6 +10,7 @@ import type { Rig } from "./rig.ts";
 import { subtract } from "./vector.ts";
 import type { Frame } from "./vector.ts";
 import type { Pick } from "./viewer-like.ts";
+import { text } from "./words.ts";
 
 export interface Place {
   rig: Rig;
@@ -20,22 +21,22 @@ export interface Place {
 export function describePick(pick: Pick, header: Header | null): HTMLElement {
   const levels = header &&
     header.levels.length > 1 ? pick.levels.map((level) => header.levels[level]?.name ?? String(level)) : [];
+  const [low, high] = levels;
   return make("section", {},
     make(
-      "p", { class: "headline" }, pick.color ? swatch(pick.color) : null, `Gaussian ${pick.id.toLocaleString("en-US")}`,
+      "p", { class: "headline" }, pick.color ? swatch(pick.color) : null, text("why.gaussian", { id: pick.id }),
     ),
     make(
       "p", {},
-      pick.count > 1 ? `Of the ${pick.count} Gaussians that reach this pixel, it gives the largest share.`
-        : "It alone makes this pixel.",
+      text("why.share", { count: pick.count }),
     ),
     facts([
-      ["Share of this pixel", formatShare(pick.weight)],
-      ["Opacity", formatShare(pick.opacity)],
-      ["Distance", formatLength(pick.depth, header?.metersPerUnit ?? 0)],
-      ["Arrived as", `number ${(pick.slot + 1).toLocaleString("en-US")}`],
-      levels.length ? ["Level", [...new Set(levels)].join(" to ")] : null,
-      header?.terms ? ["Terms of its color", String(pick.terms)] : null,
+      [text("why.weight"), formatShare(pick.weight)],
+      [text("why.opacity"), formatShare(pick.opacity)],
+      [text("why.distance"), formatLength(pick.depth, header?.metersPerUnit ?? 0)],
+      [text("why.arrived"), text("why.number", { number: pick.slot + 1 })],
+      levels.length ? [text("why.level"), low === high ? low : text("why.levels", { low, high })] : null,
+      header?.terms ? [text("why.terms"), String(pick.terms)] : null,
     ]),
   );
 }
@@ -53,26 +54,25 @@ export function describeWhy(why: Why, pick: Pick, cells: Cells | null, place: Pl
   const parts: HTMLElement[] = [];
   if (why.cells) {
     const { of, seeing } = why.cells;
-    const text = seeing.length === 0 ? "No cell sees it from inside; it was sent for what lies between."
-      : `It is here because ${seeing.length} of ${of} cells see it${nearest(why)}.`;
-    parts.push(make("section", {}, make("h3", {}, "Cells that see it"), make("p", {}, text),
+    const says = seeing.length === 0 ? text("why.unseen")
+      : `${text("why.seen", { count: seeing.length, of })} ${nearest(why)}`.trim();
+    parts.push(make("section", {}, make("h3", {}, text("why.cells")), make("p", {}, says),
       cells ? drawMap(cells, seeing, pick.position, place.rig, place.frame) : null,
       cells ? make(
-        "p", { class: "key" }, key("seeing", "sees it"), key("cell", "does not"), key("gaussian", "the Gaussian"),
-        key("eye", "you"),
+        "p", { class: "key" }, key("seeing", text("why.key.sees")), key("cell", text("why.key.not")),
+        key("gaussian", text("why.key.gaussian")), key("eye", text("why.key.you")),
       ) : null));
   } else {
     parts.push(
-      make("section", {}, make("p", {}, "This scene has no visible sets: all of it is sent, the nearest first."))
+      make("section", {}, make("p", {}, text("why.everything")))
     );
   }
   if (why.directions) {
     const { of, seen } = why.directions;
-    parts.push(make("section", {}, make("h3", {}, "Directions from which it is seen"),
+    parts.push(make("section", {}, make("h3", {}, text("why.directions")),
       make(
         "p", {},
-        `${seen.length} of ${of} directions, ${formatShare(seen.length / of)} of the sphere around it. ` +
-          "The globe faces you.",
+        text("why.sphere", { count: seen.length, of, share: formatShare(seen.length / of) }),
       ),
       drawGlobe(seen, subtract(place.rig.eye, pick.position), place.frame.up)));
   }
@@ -81,11 +81,11 @@ export function describeWhy(why: Why, pick: Pick, cells: Cells | null, place: Pl
 
 function nearest(why: Why): string {
   const weight = why.cells?.seeing[0]?.weight;
-  return weight ? `; the nearest gives it ${formatShare(weight[0])} to ${formatShare(weight[1])} of a pixel` : "";
+  return weight ? text("why.nearest", { low: formatShare(weight[0]), high: formatShare(weight[1]) }) : "";
 }
 
-function key(look: string, text: string): HTMLElement {
-  return make("span", {}, make("i", { class: `key-${look}` }), text);
+function key(look: string, meaning: string): HTMLElement {
+  return make("span", {}, make("i", { class: `key-${look}` }), meaning);
 }
 
 function facts(rows: ([string, string] | null)[]): HTMLElement {
