@@ -42,6 +42,7 @@ from gsvis.scene.source import Source
 
 if TYPE_CHECKING:
     from gsvis.prepare import PreparationEstimate, PrepareConfig, Prepared
+    from gsvis.pvs.merged import Merged
     from gsvis.scene.cameras import Cameras
 
 __all__ = ["run_prepare"]
@@ -252,6 +253,7 @@ def _print_result(
         rows.append(("checked by other eyes", str(prepared.judged["line"])))
     rows.append(("package", f"{command.out}, {size_of(prepared.nbytes)} in {prepared.parts:,} parts"))
     rows += size_rows(m)
+    rows += _joined(prepared.joined)
     if prepared.parts_kept:
         rows.append(("as before", f"{prepared.parts_kept:,} of the parts, {size_of(prepared.nbytes_kept)}"))
     if not command.discard:
@@ -275,6 +277,17 @@ def _print_result(
     )
 
 
+def _joined(tried: tuple[Merged, ...]) -> list[tuple[str, str]]:
+    """Return table rows about the cells of the package: how many were joined, and what their sets save on a walk."""
+    if not tried:
+        return []
+    built = tried[0]
+    kept = tried[-1]
+    cells = f"{kept.cells:,}" + (f", joined from {built.cells:,}" if kept.factor > 1 else "")
+    walk = f"{size_of(round(kept.saved))} on a walk, which needs {kept.walk:,.0f} of {kept.ever:,} Gaussians"
+    return [("  cells", cells), ("  sets save", f"{walk}; they take {size_of(kept.nbytes)}")]
+
+
 def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]], remarks: list[str]) -> dict[str, Any]:
     """Return the part of the JSON document about the package."""
     m = prepared.manifest
@@ -290,6 +303,7 @@ def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]]
         "certificates": None if prepared.certificates is None else prepared.certificates.as_dict(),
         "traced_twice": prepared.traced_twice,
         "judged": prepared.judged,
+        "joined": [asdict(each) for each in prepared.joined],
         "parts": prepared.parts,
         "parts_kept": prepared.parts_kept,
         "sizes": m.sizes(),

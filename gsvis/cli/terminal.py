@@ -55,6 +55,7 @@ _SAID = {
     "cells": "finding and certifying sets",
     "check": "tracing some rays a second time",
     "store": "writing the store",
+    "join": "joining cells",
     "trying": "trying a few cells",
     "trying tiles": "trying a few tiles",
     "quality": "measuring the sets",

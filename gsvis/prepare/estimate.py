@@ -26,6 +26,7 @@ from gsvis.prepare.trial import StageTrial
 from gsvis.progress import Progress, silent
 from gsvis.pvs.estimate import estimate_pvs
 from gsvis.pvs.memory import expected_memory
+from gsvis.pvs.merged import RECORD_BYTES, SHARE
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
@@ -142,7 +143,7 @@ class _Estimator:
         began = _clock()
         record = bytes_of_record(self.levels, _CODED)
         seconds = (_clock() - began) * self.union / min(_CODED, len(self.levels.union))
-        nbytes = int(self.union * record + term_bytes + disk) + _FILES
+        nbytes = int(self.union * record + term_bytes + self._shipped(disk)) + _FILES
         what = f"{self.union:,} records, {terms:,} terms"
         self.found.append(StageEstimate("package", "to do", what, seconds, 0))
         return PreparationEstimate(
@@ -202,6 +203,10 @@ class _Estimator:
         self.found.append(StageEstimate("sets", state, what, cost.seconds, disk))
         return None, disk, kept + cost.memory
 
+    def _shipped(self, disk: int) -> float:
+        """Return the most bytes that sets of this size on disk take in the package: see `merge_until_small`."""
+        return min(disk, SHARE * RECORD_BYTES * self.union) if self.stages.may_join else disk
+
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:
         """Return the colors if they exist."""
         stages = self.stages
@@ -240,7 +245,7 @@ class _Estimator:
         if (
             exact is not None
             and store is not None
-            and stages.work.whole(stages.fidelity_name(self.levels, exact, store.path))
+            and stages.work.whole(stages.fidelity_name(self.levels, exact, stages.shipped_path(store.path)))
         ):
             self.found.append(StageEstimate("fidelity", "done", what, 0.0, 4000))
             return

@@ -27,6 +27,7 @@ from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.stages import StageRecord, Stages, around_of
 from gsvis.prepare.start_views import describe_start_views
 from gsvis.progress import Progress, silent
+from gsvis.pvs.merged import Merged
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.stored_certificates import StoredCertificates
 from gsvis.raycast.proxies import MIN_ALPHA
@@ -56,6 +57,7 @@ class Prepared:
         certificates: Bounds on the light that the visible sets miss.
         traced_twice: Comparison of two tracers on a sample of these rays; None if there is only one tracer.
         judged: Quality of the sets at builder's and judge's eyes; see `gsvis.scene.judged.Judged`.
+        joined: Sizes of cells that were tried, and what their sets cost and save; empty for a tile.
     """
 
     manifest: Manifest
@@ -72,6 +74,7 @@ class Prepared:
     certificates: StoredCertificates | None = None
     traced_twice: dict[str, Any] | None = None
     judged: dict[str, Any] | None = None
+    joined: tuple[Merged, ...] = ()
 
 
 def prepare_package(
@@ -151,6 +154,8 @@ def finish_package(
             exact, directions = stages.colors(levels, store)
             packed = quantize(exact, "wire", reach=stages.reach)
             cost = stages.cost(levels, exact, packed)
+            shipped = stages.shipped_sets(store)
+        with VisibilityStore.open(shipped, scene=levels.union) as store:
             fidelity = stages.fidelity(levels, exact, packed, store)
             judged = stages.judged(levels, store)
             certificates = store.certificates
@@ -160,7 +165,7 @@ def finish_package(
         found = {"levels": quality, "directions": directions, "views": views, "judged": judged}
         provenance = {**(about or {}), "config": config.as_dict(), **found}
         info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity, config.epsilon)
-        with write_package(target, levels, packed, info=info, visibility=sets, progress=stages.progress) as package:
+        with write_package(target, levels, packed, info=info, visibility=shipped, progress=stages.progress) as package:
             manifest = package.manifest
         sizes = {part.name: part.nbytes for part in manifest.parts()}
         kept = {name: size for name, size in sizes.items() if name in before}
@@ -181,6 +186,7 @@ def finish_package(
         certificates,
         twice,
         judged,
+        stages.joined,
     )
 
 

@@ -44,6 +44,7 @@ from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cell_count import MOST_CELLS, fitting_cells
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.judged import judge_sets
+from gsvis.pvs.merged import Merged, merge_until_small
 from gsvis.pvs.store import VisibilityStore
 from gsvis.render.judges import JUDGES
 from gsvis.scene.content import scene_hash, space_hash
@@ -54,7 +55,7 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 
 __all__ = ["VERSIONS", "StageRecord", "Stages", "around_of"]
 
-VERSIONS = {"levels": 6, "sets": 3, "colors": 2, "cost": 2, "fidelity": 3, "judged": 3}
+VERSIONS = {"levels": 6, "sets": 3, "joined": 1, "colors": 2, "cost": 2, "fidelity": 3, "judged": 3}
 """Version of the results of each stage; increase it when they change."""
 
 
@@ -90,6 +91,7 @@ class Stages:
         reach: Least and largest value of each component of base colors of all these packages; None for this one's own.
         one_level: Whether sets are found with one level in memory; see `build_pvs`.
         judges: Largest number of views by each rule that judge the sets.
+        joined: Sizes of cells that were tried for the package; empty for a tile.
     """
 
     scene: Gaussians | Levels
@@ -104,6 +106,7 @@ class Stages:
     reach: tuple[tuple[float, float], ...] | None = None
     one_level: bool = False
     judges: int = JUDGES
+    joined: tuple[Merged, ...] = ()
 
     @property
     def trains(self) -> bool:
@@ -218,6 +221,38 @@ class Stages:
             self.work.seal_file(around_of(name))
             both.unlink(missing_ok=True)
         self.work.seal_file(name)
+
+    def shipped_sets(self, store: VisibilityStore) -> Path:
+        """Return the path of the store that the package gets: cells joined until sets are small, shared direction sets.
+
+        Cells of a size or number that the caller chose stay. The store of a tile stays as it is: its surroundings have
+        the same cells.
+        """
+        path = self.shipped_path(store.path)
+        if path == store.path:
+            return path
+        record = self.work.at(path.with_suffix(".json").name)
+        if not self.work.whole(path.name) or not self.work.whole(record.name):
+            tried = merge_until_small(store, path, may_join=self.may_join, progress=self.progress)
+            with atomic_path(record) as partial:
+                partial.write_text(json.dumps([asdict(each) for each in tried]), encoding="ascii")
+            self.work.seal_file(path.name)
+            self.work.seal_file(record.name)
+        self.joined = tuple(Merged(**each) for each in json.loads(read_whole(record)))
+        return path
+
+    def shipped_path(self, sets: Path) -> Path:
+        """Return the path of the store that the package gets, from that of the visible sets."""
+        if self.around is not None or self.one_level:
+            return sets
+        key = self._key("joined", sets=digest_of_folder(sets).split()[0], may_join=self.may_join)
+        return self.work.at(f"joined-{key}.pvs")
+
+    @property
+    def may_join(self) -> bool:
+        """Whether cells may be joined: nobody chose their size or number, and no tile has the same."""
+        chosen = self.config.cells is not None or self.config.cell_size is not None
+        return not chosen and self.around is None and not self.one_level
 
     def colors_name(self, levels: Levels, store: VisibilityStore) -> str:
         """Return the name of the file of colors."""

@@ -11,12 +11,14 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.files.limits import DAMAGED, Budget
 from gsvis.files.sections import SectionFile
 from gsvis.pvs._order import MAX_DEPTH
-from gsvis.pvs._writer import CELL_ROW, FORMAT, StoreInfo, beyond_free
+from gsvis.pvs._writer import CELL_ROW, FORMAT, FORMAT_SHARED, StoreInfo, beyond_free
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.codec import CodecError, decompress
 from gsvis.pvs.stored_certificates import CERTIFIED_ROW, StoredCertificates
 
-__all__ = ["read_certificates", "read_header", "read_rows"]
+__all__ = ["read_certificates", "read_header", "read_rows", "read_run"]
+
+_MOST_RUN = 1 << 16  # neighbors that may share a direction set
 
 
 def read_header(file: SectionFile) -> tuple[StoreInfo, CellGrid]:
@@ -26,7 +28,7 @@ def read_header(file: SectionFile) -> tuple[StoreInfo, CellGrid]:
         FormatError: If the header is damaged.
     """
     header = file.header
-    if header.raw("format") != FORMAT:
+    if header.raw("format") not in (FORMAT, FORMAT_SHARED):
         raise _fault(file, "format", repr(FORMAT), repr(header.raw("format"))[:60])
     scene = header.raw("scene")
     grid = header.child("grid")
@@ -51,6 +53,17 @@ def read_header(file: SectionFile) -> tuple[StoreInfo, CellGrid]:
         return StoreInfo(n, scene, tau, edges, config), CellGrid(origin, size, (x, y, z), coords, up)
     except (ValueError, SceneError) as error:
         raise _fault(file, "header", "a grid and classes that are valid", str(error)) from error
+
+
+def read_run(file: SectionFile) -> int:
+    """Return the number of neighbors that share a direction set; 1 in the first format.
+
+    Raises:
+        FormatError: If the header is damaged.
+    """
+    if file.header.raw("format") == FORMAT:
+        return 1
+    return file.header.integer("directions_run", 1, _MOST_RUN)
 
 
 def read_rows(file: SectionFile, cells: int, gaussians: int) -> NDArray[Any]:

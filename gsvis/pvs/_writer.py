@@ -21,7 +21,7 @@ from gsvis import _check
 from gsvis.files.atomic import atomic_path
 from gsvis.files.cache import Cache
 from gsvis.files.limits import MAX_EXPANSION
-from gsvis.files.sections import FileKind, SectionWriter
+from gsvis.files.sections import FileKind, SectionFile, SectionWriter
 from gsvis.progress import Progress, silent
 from gsvis.pvs import _order
 from gsvis.pvs import codec as _codec
@@ -29,9 +29,23 @@ from gsvis.pvs._kernels import store as kernels
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.stored_certificates import CERTIFIED_ROW
 
-__all__ = ["CELL_ROW", "FILE_KIND", "FORMAT", "CellSet", "StoreInfo", "StoreWriter", "beyond_free", "write_store"]
+__all__ = [
+    "CELL_ROW",
+    "FILE_KIND",
+    "FORMAT",
+    "FORMAT_SHARED",
+    "CellSet",
+    "StoreInfo",
+    "StoreWriter",
+    "beyond_free",
+    "share_directions",
+    "write_store",
+]
 
 FORMAT = "gsvis visible sets"
+FORMAT_SHARED = "gsvis visible sets 2"
+"""The format of stores in which neighbors share direction sets; versions before 0.4 cannot read it."""
+
 FILE_KIND = FileKind(b"\x93GSPVS\r\n", 1, "a store of visible sets", "give a file that `gsvis pvs` has written")
 MAX_CLASSES = 16
 CELL_ROW = np.dtype(
@@ -264,10 +278,7 @@ class StoreWriter:
         container.close_section("cells")
         container.append(self._certified.tobytes())
         container.close_section("certificates")
-        least = -(-beyond_free(self.info.gaussians) // MAX_EXPANSION)  # least file size that the reader accepts
-        if container.size < least:
-            container.append(bytes(least - container.size))
-            container.close_section("room")
+        _make_room(container, self.info.gaussians)
         container.finish(
             {
                 "format": FORMAT,
@@ -309,6 +320,60 @@ class StoreWriter:
         levels = np.zeros(self.info.gaussians, np.uint8)
         levels[_codec.ids_of(self._set(cell))] = np.frombuffer(data, np.uint8) + 1
         return levels
+
+
+def share_directions(source: str | PathLike[str], target: str | PathLike[str], run: int) -> Path:
+    """Copy a store, with one direction set for each run of Gaussians: the union of theirs.
+
+    Args:
+        source: A store with a direction set for each Gaussian.
+        target: The file to write, another one.
+        run: Gaussians in a run, at least 1; the last run may be shorter.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        FormatError: If the source is no store, or damaged.
+        OSError: If the file cannot be written; an older file at the path stays.
+    """
+    _check.positive_int("run", run)
+    path = _check.path("target", target)
+    read = SectionFile(source, FILE_KIND)
+    try:
+        header = read.header.value
+        n = read.header.integer("gaussians", 0, (1 << 31) - 1)
+        with atomic_path(path) as partial, partial.open("wb") as file:
+            container = SectionWriter(file, FILE_KIND)
+            for name in read.sections:
+                if name == "room":
+                    continue
+                data = read.read(name)
+                container.append(_in_runs(data, n, run) if name == "directions" else data)
+                container.close_section(name)
+            _make_room(container, n)
+            kept = {key: value for key, value in header.items() if key != "sections"}
+            container.finish({**kept, "format": FORMAT_SHARED, "directions_run": run})
+    finally:
+        read.close()
+    return path
+
+
+def _in_runs(data: bytes, n: int, run: int) -> bytes:
+    """Return the section of direction sets with one set for each run of N Gaussians."""
+    planes = np.frombuffer(_codec.decompress(data, 10 * n), np.uint8).reshape(10, n)
+    if n == 0:
+        return data
+    shared = np.bitwise_or.reduceat(planes, np.arange(0, n, run), axis=1)
+    return _codec.compress(np.ascontiguousarray(shared).tobytes(), level=19)
+
+
+def _make_room(container: SectionWriter, gaussians: int) -> None:
+    """Append bytes until the file is as large as a reader wants for the memory that N Gaussians need."""
+    least = -(-beyond_free(gaussians) // MAX_EXPANSION)
+    if container.size < least:
+        container.append(bytes(least - container.size))
+        container.close_section("room")
 
 
 def _share(name: str, value: float) -> float:

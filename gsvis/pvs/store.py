@@ -51,6 +51,7 @@ class VisibilityStore:
         grid: The C cells.
         info: Number of Gaussians, scene, tau, classes, and how the store was built.
         certificates: How each set was found and certified, and what it misses.
+        directions_run: Neighbors that share a direction set; 1 as built, 16 in a package.
         cache: Cache of decoded cells; assign another `Cache` to share it.
     """
 
@@ -76,6 +77,7 @@ class VisibilityStore:
         self._file = SectionFile(path, FILE_KIND, joined)
         try:
             self.info, self.grid = head.read_header(self._file)
+            self.directions_run = head.read_run(self._file)
             self._rows = head.read_rows(self._file, len(self.grid), self.gaussians)
             if order is not None and len(order) != self.gaussians:
                 raise ValueError(f"order: expected {self.gaussians:,} Gaussians, got {len(order):,}")
@@ -317,9 +319,14 @@ class VisibilityStore:
 
     @cached_property
     def direction_sets(self) -> U8:
-        """(N, 10) uint8 direction sets from the build of the store; read-only."""
-        flat = self._unpack("directions", 10 * self.gaussians)
-        sets = np.ascontiguousarray(np.frombuffer(flat, np.uint8).reshape(10, self.gaussians).T)
+        """(N, 10) uint8 direction sets from the build of the store; read-only.
+
+        In a package `directions_run` neighbors share one: a face is set if any of them is seen from there.
+        """
+        runs = -(-self.gaussians // self.directions_run)
+        flat = self._unpack("directions", 10 * runs)
+        shared = np.frombuffer(flat, np.uint8).reshape(10, runs).T
+        sets = np.repeat(shared, self.directions_run, axis=0)[: self.gaussians]
         sets.flags.writeable = False
         return sets
 

@@ -29,6 +29,7 @@ NOT_PATHS = {
     "name",
     "names",
     "kind",
+    "language",
     "classes",
     "origins",
     "proxies",

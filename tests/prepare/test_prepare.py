@@ -131,9 +131,9 @@ def test_an_option_changes_only_what_depends_on_it(again: Path, rooms: OccluderS
     assert found.manifest.terms == 0
     assert new(prepare(rooms, again, replace(flat, cells=1)))[0] == "sets"
     kept = {path.name.partition("-")[0] for path in found.work.iterdir() if not path.name.endswith(".sha256")}
-    pieces = {"levels", "sets", "colors", "cost", "fidelity", "judged"}
+    pieces = {"levels", "sets", "joined", "colors", "cost", "fidelity", "judged"}
     assert kept == {"gsvis", "plan.json", "directions.partial", *pieces}
-    assert len([path for path in found.work.iterdir() if path.name.endswith(".pvs")]) == 1  # old pieces have gone
+    assert len([path for path in found.work.iterdir() if path.name.endswith(".pvs")]) == 2  # old pieces have gone
 
 
 @pytest.mark.parametrize("stop", ["train medium", "viewpoints", "cells", "importance", "fidelity", "package"])
@@ -181,7 +181,7 @@ def test_damage_in_what_is_kept_is_seen_and_mended(
     made: tuple[Path, Prepared], again: Path, rooms: OccluderScene
 ) -> None:
     work = again.with_name("rooms.gsvis.work")
-    for pattern in ("*.pvs", "levels-*/low.ply", "cost-*.json", "fidelity-*.json"):
+    for pattern in ("sets-*.pvs", "joined-*.pvs", "levels-*/low.ply", "cost-*.json", "fidelity-*.json"):
         (path,) = work.glob(pattern)
         data = bytearray(path.read_bytes())
         data[len(data) // 2] ^= 1

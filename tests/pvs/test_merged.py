@@ -1,0 +1,112 @@
+"""Laws of joined cells and shared direction sets."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.errors import FormatError
+from gsvis.pvs._writer import CellSet, StoreInfo, share_directions, write_store
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.merged import RECORD_BYTES, SHARE, SHARED, Merged, join_cells, merge_until_small, walks_through
+from gsvis.pvs.store import VisibilityStore
+
+GAUSSIANS = 1_000
+EDGES = np.array([1 / 255, 0.1, 0.5])
+
+
+def noise_store(path: Path, side: int = 4, seed: int = 0) -> VisibilityStore:
+    """Return a store of `side`^3 cells, each of which sees other random Gaussians."""
+    rng = np.random.default_rng(seed)
+    coords = np.argwhere(np.ones((side, side, side - 1), bool)).astype(np.int32)
+    grid = CellGrid(np.zeros(3), 0.5, (side, side, side - 1), coords, np.array([0.0, 0.0, 1.0]))
+    cells = []
+    for _ in coords:
+        ids = np.flatnonzero(rng.random(GAUSSIANS) < 0.1)
+        missed, bound, tile = np.sort(rng.random(3))
+        cells.append(CellSet(ids, rng.integers(0, 3, len(ids)).astype(np.uint8), 4, 1, 100, missed, bound, tile))
+    sets = rng.integers(0, 256, (GAUSSIANS, 10)).astype(np.uint8)
+    return VisibilityStore.open(write_store(path, grid, StoreInfo(GAUSSIANS, "made", 1 / 255, EDGES), cells, sets))
+
+
+@pytest.mark.parametrize("factor", [1, 2, 3, 4])
+def test_a_joined_cell_sees_what_its_cells_see(tmp_path: Path, factor: int) -> None:
+    with noise_store(tmp_path / "fine.pvs") as fine:
+        of = np.array(join_cells(fine, tmp_path / "joined.pvs", factor))
+        with VisibilityStore.open(tmp_path / "joined.pvs") as joined:
+            joined.verify()
+            assert len(joined) == len(set(of.tolist()))
+            assert np.array_equal(joined.grid.cell_at(fine.grid.centers), of)
+            for cell in range(len(joined)):
+                best = np.zeros(GAUSSIANS, np.int64)
+                for part in np.flatnonzero(of == cell):
+                    ids, classes = fine.classes(int(part))
+                    best[ids] = np.maximum(best[ids], classes.astype(np.int64) + 1)
+                ids, classes = joined.classes(cell)
+                assert np.array_equal(ids, np.flatnonzero(best))
+                assert np.array_equal(classes.astype(np.int64) + 1, best[ids])
+                assert joined.certificates.bound[cell] == fine.certificates.bound[of == cell].max()
+                assert joined.certificates.rays[cell] == 100 * np.count_nonzero(of == cell)
+
+
+@pytest.mark.parametrize("run", [1, 7, 16, 2_000])
+def test_neighbors_share_the_union_of_their_directions(tmp_path: Path, run: int) -> None:
+    with noise_store(tmp_path / "own.pvs") as own:
+        own_sets = own.direction_sets
+        share_directions(own.path, tmp_path / "shared.pvs", run)
+        with VisibilityStore.open(tmp_path / "shared.pvs") as shared:
+            shared.verify()
+            assert shared.directions_run == run
+            for start in range(0, GAUSSIANS, run):
+                union = np.bitwise_or.reduce(own_sets[start : start + run], axis=0)
+                assert (shared.direction_sets[start : start + run] == union).all()
+            for cell in range(len(own)):
+                assert np.array_equal(shared.visible_ids(cell), own.visible_ids(cell))
+
+
+def test_cells_are_joined_until_sets_are_a_fifth_and_no_longer(tmp_path: Path) -> None:
+    most = SHARE * RECORD_BYTES * GAUSSIANS
+    with noise_store(tmp_path / "fine.pvs") as fine:
+        tried = merge_until_small(fine, tmp_path / "small.pvs")
+        assert [each.nbytes <= most for each in tried] == [False] * (len(tried) - 1) + [True]
+        assert [each.factor for each in tried] == [1, 2, 3, 4][: len(tried)]
+        with VisibilityStore.open(tmp_path / "small.pvs") as small:
+            assert len(small) == tried[-1].cells < len(fine)
+            assert small.directions_run == SHARED
+            assert small.ever_visible() == fine.ever_visible()
+        assert [path.name for path in tmp_path.iterdir() if "partial" in path.name] == []
+
+
+def test_cells_that_somebody_chose_stay(tmp_path: Path) -> None:
+    with noise_store(tmp_path / "fine.pvs") as fine:
+        (only,) = merge_until_small(fine, tmp_path / "kept.pvs", may_join=False)
+        assert only.factor == 1
+        with VisibilityStore.open(tmp_path / "kept.pvs") as kept:
+            assert np.array_equal(kept.grid.coords, fine.grid.coords)
+
+
+def test_the_same_store_gives_the_same_bytes(tmp_path: Path) -> None:
+    with noise_store(tmp_path / "fine.pvs") as fine:
+        first = merge_until_small(fine, tmp_path / "a.pvs")
+        assert merge_until_small(fine, tmp_path / "b.pvs") == first
+    assert (tmp_path / "a.pvs").read_bytes() == (tmp_path / "b.pvs").read_bytes()
+
+
+def test_a_walk_saves_what_it_does_not_need() -> None:
+    assert Merged(1, 8, 100, walk=40.0, ever=100).saved == RECORD_BYTES * 60
+
+
+def test_walks_go_from_neighbor_to_neighbor() -> None:
+    coords = np.array([[0, 0, 0], [1, 0, 0], [5, 0, 0]], np.int32)
+    grid = CellGrid(np.zeros(3), 1.0, (6, 1, 1), coords, np.array([0.0, 0.0, 1.0]))
+    assert set(walks_through(grid)) == {(0, 1), (2,)}
+
+
+def test_a_damaged_run_is_refused(tmp_path: Path) -> None:
+    with noise_store(tmp_path / "own.pvs") as own:
+        share_directions(own.path, tmp_path / "shared.pvs", 16)
+    data = (tmp_path / "shared.pvs").read_bytes()
+    at = data.rindex(b'"directions_run":16')
+    (tmp_path / "bad.pvs").write_bytes(data[:at] + b'"directions_run":99' + data[at + 19 :])
+    with pytest.raises(FormatError):
+        VisibilityStore.open(tmp_path / "bad.pvs").verify()
