@@ -2,26 +2,40 @@
 
 import type { XrSession } from "../core/index.ts";
 
-interface XrSystem {
+/** What this page uses of `navigator.xr`. */
+export interface XrSystem extends EventTarget {
   isSessionSupported(mode: string): Promise<boolean>;
   requestSession(mode: string): Promise<XrSession & { end(): Promise<void> }>;
 }
 
 const MODE = "immersive-vr";
 
+/** The immersive session of the page. A headset may come or go at any time; the browser is asked again then. */
 export class Immersion {
   offered = false;
   #session: { end(): Promise<void> } | null = null;
-  readonly #system = (navigator as Navigator & { xr?: XrSystem }).xr;
+  readonly #changed: () => void;
+  readonly #system: XrSystem | null;
 
-  constructor(changed: () => void) {
-    this.#system?.isSessionSupported(MODE).then(
-      (offered) => {
-        this.offered = offered;
-        changed();
-      },
-      () => undefined, // not allowed here: not offered
-    );
+  /** `changed` is called when what is offered has changed. */
+  constructor(changed: () => void, system: XrSystem | null = (navigator as Navigator & { xr?: XrSystem }).xr ?? null) {
+    this.#changed = changed;
+    this.#system = system;
+    void this.#ask();
+    system?.addEventListener?.("devicechange", () => void this.#ask());
+  }
+
+  /** Ask the browser whether it offers immersive sessions now. */
+  async #ask(): Promise<void> {
+    let offered = false;
+    try {
+      offered = await this.#system?.isSessionSupported(MODE) ?? false;
+    } catch {
+      // refused here: not offered
+    }
+    if (offered === this.offered) return;
+    this.offered = offered;
+    this.#changed();
   }
 
   get on(): boolean {
