@@ -104,6 +104,7 @@ PAGES = {
             "flyaways",
             "shared_viewpoints",
             "visibility_store",
+            "joined_sets",
             "hpr_hybrid",
         ),
     ),
