@@ -1,6 +1,6 @@
 """How large are the visible sets of a package, as built and as shipped?
 
-Takes stores that `gsvis pvs` has written (`--stores`) and makes what `gsvis prepare` puts into a package: cells joined
+Takes stores that `gsvis pvs` has written (`--stores`) and makes what `gsvis prepare --join-cells` ships: cells joined
 until the sets are a fifth of it, one direction set for 16 neighbors. Records are counted with 12 bytes a Gaussian, as
 the rule does. What a walk through ten of the cells as built needs is the mean of 64 walks.
 

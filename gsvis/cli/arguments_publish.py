@@ -70,6 +70,8 @@ class Prepare:
             dry_run="Print time, memory and disk of each stage, and write nothing.",
         ),
     ] = Work()
+    join_cells: Flag = False
+    """Join cells until visible sets are about a fifth of the package: it is smaller, and first images come later."""
     discard: Flag = False
     """Delete what is kept for the next run, scene.gsvis.work, when the package is complete."""
     output: Reading = Reading()

@@ -138,6 +138,7 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
         level_size=size,
         cells=command.sets.cells,
         cell_size=command.sets.cell_size,
+        join_cells=command.join_cells,
         sets=config_of(PvsConfig, command.sets, size=command.sets.face_size),
         colors=ColorConfig(fit_config(command.fit), replace(ColorConfig.views, seed=command.seed)),
         epsilon=command.fit.epsilon or PrepareConfig.epsilon,

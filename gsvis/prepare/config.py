@@ -37,6 +37,7 @@ class PrepareConfig:
         cells: Most cells. Cells are as small as this limit allows. None is 256, or a quarter of it around an object
             whose visible sets hardly grow then; see `fitting_cells`.
         cell_size: Side of a cell, scene units; replaces `cells`. None uses `cells`.
+        join_cells: Whether cells are joined until the visible sets are about a fifth of the package.
         sets: Options of the visible sets.
         colors: Options of the colors.
         epsilon: Largest change of an RGB channel, in (0, 1], by a term that may be left out of a cell.
@@ -55,6 +56,7 @@ class PrepareConfig:
     level_size: tuple[int, int] | None = None
     cells: int | None = None
     cell_size: float | None = None
+    join_cells: bool = False
     sets: PvsConfig = field(default_factory=PvsConfig)
     colors: ColorConfig = field(default_factory=ColorConfig)
     epsilon: float = DEFAULT_EPSILON

@@ -205,7 +205,7 @@ class _Estimator:
 
     def _shipped(self, disk: int) -> float:
         """Return the most bytes that sets of this size on disk take in the package: see `merge_until_small`."""
-        return min(disk, SHARE * RECORD_BYTES * self.union) if self.stages.may_join else disk
+        return min(disk, SHARE * RECORD_BYTES * self.union) if self.config.join_cells else disk
 
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:
         """Return the colors if they exist."""

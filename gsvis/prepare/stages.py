@@ -223,17 +223,16 @@ class Stages:
         self.work.seal_file(name)
 
     def shipped_sets(self, store: VisibilityStore) -> Path:
-        """Return the path of the store that the package gets: cells joined until sets are small, shared direction sets.
+        """Return the path of the store that the package gets: shared direction sets, and joined cells if asked for.
 
-        Cells of a size or number that the caller chose stay. The store of a tile stays as it is: its surroundings have
-        the same cells.
+        The store of a tile stays as it is: its surroundings have the same cells.
         """
         path = self.shipped_path(store.path)
         if path == store.path:
             return path
         record = self.work.at(path.with_suffix(".json").name)
         if not self.work.whole(path.name) or not self.work.whole(record.name):
-            tried = merge_until_small(store, path, may_join=self.may_join, progress=self.progress)
+            tried = merge_until_small(store, path, may_join=self.config.join_cells, progress=self.progress)
             with atomic_path(record) as partial:
                 partial.write_text(json.dumps([asdict(each) for each in tried]), encoding="ascii")
             self.work.seal_file(path.name)
@@ -245,14 +244,8 @@ class Stages:
         """Return the path of the store that the package gets, from that of the visible sets."""
         if self.around is not None or self.one_level:
             return sets
-        key = self._key("joined", sets=digest_of_folder(sets).split()[0], may_join=self.may_join)
+        key = self._key("joined", sets=digest_of_folder(sets).split()[0], join=self.config.join_cells)
         return self.work.at(f"joined-{key}.pvs")
-
-    @property
-    def may_join(self) -> bool:
-        """Whether cells may be joined: nobody chose their size or number, and no tile has the same."""
-        chosen = self.config.cells is not None or self.config.cell_size is not None
-        return not chosen and self.around is None and not self.one_level
 
     def colors_name(self, levels: Levels, store: VisibilityStore) -> str:
         """Return the name of the file of colors."""

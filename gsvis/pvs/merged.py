@@ -1,8 +1,8 @@
 """Join the cells of a store until its sets are a small part of a package, and share direction sets among neighbors.
 
 Small cells have small sets, so a walk needs fewer Gaussians; but there are more of them, and what neighbors see is
-nearly the same. Cells are joined to cubes of F x F x F cells, with the least F for which the sets are at most a fifth
-of the package. A joined cell sees what any of its cells sees, so nothing is lost.
+nearly the same. On request cells are joined to cubes of F x F x F cells, with the least F for which the sets are at
+most a fifth of the package. A joined cell sees what any of its cells sees, so nothing is lost.
 
 Direction sets are more than a quarter of a store, and the sender does not read them. Runs of neighbors in the order of
 the package share the union of theirs.
@@ -199,12 +199,11 @@ def _joined(store: VisibilityStore, cells: I64) -> CellSet:
 
 def _walk(store: VisibilityStore, walks: tuple[tuple[int, ...], ...], of: tuple[int, ...]) -> float:
     """Return the number of Gaussians that a walk needs, mean of all walks; `of` has the cell of each finest cell."""
-    words = [store.visible_words(cell) for cell in range(len(store))]
     needs = []
     for walk in walks:
-        seen = np.zeros_like(words[0])
-        for cell in {of[each] for each in walk}:
-            seen |= words[cell]
+        seen = store.visible_words(of[walk[0]])
+        for cell in {of[each] for each in walk[1:]}:
+            seen |= store.visible_words(cell)
         needs.append(count(seen))
     return float(np.mean(needs))
 

@@ -22,6 +22,7 @@ from gsvis.prepare import PrepareConfig, Prepared, estimate_preparation, prepare
 from gsvis.prepare import estimate as estimates
 from gsvis.prepare.colors import ColorConfig
 from gsvis.pvs import estimate as pvs_estimates
+from gsvis.pvs import merged
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
@@ -120,7 +121,9 @@ def test_nothing_is_made_twice(again: Path, rooms: OccluderScene) -> None:
     assert files(again) == before
 
 
-def test_an_option_changes_only_what_depends_on_it(again: Path, rooms: OccluderScene) -> None:
+def test_an_option_changes_only_what_depends_on_it(
+    again: Path, rooms: OccluderScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3))) == ["fidelity"]
     assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3, meters_per_unit=2.0))) == []  # parts, that is
     flat = replace(CONFIG, epsilon=0.3, colors=replace(CONFIG.colors, fit=FitConfig(max_terms=0)))
@@ -129,6 +132,10 @@ def test_an_option_changes_only_what_depends_on_it(again: Path, rooms: OccluderS
     assert new(found) == ["colors", "cost", "fidelity", "package"]
     assert "importance" not in stages  # what views found serves every fit
     assert found.manifest.terms == 0
+    monkeypatch.setattr(merged, "SHARE", 0.0)  # no set is small enough
+    joined = prepare(rooms, again, replace(flat, join_cells=True))
+    assert new(joined) == ["fidelity", "package"]
+    assert 1 == joined.joined[-1].cells < joined.joined[0].cells == found.joined[0].cells
     assert new(prepare(rooms, again, replace(flat, cells=1)))[0] == "sets"
     kept = {path.name.partition("-")[0] for path in found.work.iterdir() if not path.name.endswith(".sha256")}
     pieces = {"levels", "sets", "joined", "colors", "cost", "fidelity", "judged"}
