@@ -10,17 +10,16 @@ the package share the union of theirs.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis._kernels.bits import count
+from gsvis.files.temporary import temporary_folder
 from gsvis.progress import Progress, silent
 from gsvis.pvs._writer import share_directions
 from gsvis.pvs.cells import CellGrid
@@ -104,12 +103,12 @@ def merge_until_small(
     most = SHARE * RECORD_BYTES * store.gaussians
     tried = [Merged(1, len(store), _bytes_of(store), _walk(store, walks, tuple(range(len(store)))), ever)]
     progress("join", 0, 1)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f"{path.name}.partial-") as folder:
+    with temporary_folder() as folder:
         written = store.path
         for factor in _factors(store.grid) if may_join else ():
             if tried[-1].nbytes <= most:
                 break
-            written = Path(folder) / "joined.pvs"
+            written = folder / "joined.pvs"
             of = join_cells(store, written, factor)
             with VisibilityStore.open(written) as joined:
                 tried.append(Merged(factor, len(joined), _bytes_of(joined), _walk(joined, walks, of), ever))
