@@ -19,7 +19,7 @@ from typing import Any
 
 from _harness import add_arguments, write_result
 
-from gsvis.pvs.merged import RECORD_BYTES, merge_until_small
+from gsvis.pvs.joined import RECORD_BYTES, join_until_small
 from gsvis.pvs.store import VisibilityStore
 
 QUESTION = "How large are the visible sets of a package, as built and as shipped?"
@@ -39,7 +39,7 @@ def figures_of(path: Path) -> list[dict[str, Any]]:
     """Return the figures of one store."""
     with tempfile.TemporaryDirectory() as folder, VisibilityStore.open(path) as built:
         shipped = Path(folder) / "shipped.pvs"
-        tried = merge_until_small(built, shipped)
+        tried = join_until_small(built, shipped)
         records = RECORD_BYTES * built.gaussians
         before = path.stat().st_size
         after = shipped.stat().st_size

@@ -42,7 +42,7 @@ from gsvis.scene.source import Source
 
 if TYPE_CHECKING:
     from gsvis.prepare import PreparationEstimate, PrepareConfig, Prepared
-    from gsvis.pvs.merged import Merged
+    from gsvis.pvs.joined import JoinedCells
     from gsvis.scene.cameras import Cameras
 
 __all__ = ["run_prepare"]
@@ -254,7 +254,7 @@ def _print_result(
         rows.append(("checked by other eyes", str(prepared.judged["line"])))
     rows.append(("package", f"{command.out}, {size_of(prepared.nbytes)} in {prepared.parts:,} parts"))
     rows += size_rows(m)
-    rows += _joined(prepared.joined)
+    rows += _joined_rows(prepared.joined)
     if prepared.parts_kept:
         rows.append(("as before", f"{prepared.parts_kept:,} of the parts, {size_of(prepared.nbytes_kept)}"))
     if not command.discard:
@@ -278,7 +278,7 @@ def _print_result(
     )
 
 
-def _joined(tried: tuple[Merged, ...]) -> list[tuple[str, str]]:
+def _joined_rows(tried: tuple[JoinedCells, ...]) -> list[tuple[str, str]]:
     """Return table rows about the cells of the package: how many were joined, and what their sets save on a walk."""
     if not tried:
         return []

@@ -25,8 +25,8 @@ from gsvis.prepare.stages import Stages
 from gsvis.prepare.trial import StageTrial
 from gsvis.progress import Progress, silent
 from gsvis.pvs.estimate import estimate_pvs
+from gsvis.pvs.joined import MOST_SHARE, RECORD_BYTES
 from gsvis.pvs.memory import expected_memory
-from gsvis.pvs.merged import RECORD_BYTES, SHARE
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
@@ -204,8 +204,8 @@ class _Estimator:
         return None, disk, kept + cost.memory
 
     def _shipped(self, disk: int) -> float:
-        """Return the most bytes that sets of this size on disk take in the package: see `merge_until_small`."""
-        return min(disk, SHARE * RECORD_BYTES * self.union) if self.config.join_cells else disk
+        """Return the most bytes that sets of this size on disk take in the package: see `join_until_small`."""
+        return min(disk, MOST_SHARE * RECORD_BYTES * self.union) if self.config.join_cells else disk
 
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:
         """Return the colors if they exist."""

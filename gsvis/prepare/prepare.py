@@ -27,7 +27,7 @@ from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.stages import StageRecord, Stages, around_of
 from gsvis.prepare.start_views import describe_start_views
 from gsvis.progress import Progress, silent
-from gsvis.pvs.merged import Merged
+from gsvis.pvs.joined import JoinedCells
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.stored_certificates import StoredCertificates
 from gsvis.raycast.proxies import MIN_ALPHA
@@ -74,7 +74,7 @@ class Prepared:
     certificates: StoredCertificates | None = None
     traced_twice: dict[str, Any] | None = None
     judged: dict[str, Any] | None = None
-    joined: tuple[Merged, ...] = ()
+    joined: tuple[JoinedCells, ...] = ()
 
 
 def prepare_package(

@@ -43,8 +43,8 @@ from gsvis.progress import Progress
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cell_count import MOST_CELLS, fitting_cells
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
+from gsvis.pvs.joined import JoinedCells, join_until_small
 from gsvis.pvs.judged import judge_sets
-from gsvis.pvs.merged import Merged, merge_until_small
 from gsvis.pvs.store import VisibilityStore
 from gsvis.render.judges import JUDGES
 from gsvis.scene.content import scene_hash, space_hash
@@ -106,7 +106,7 @@ class Stages:
     reach: tuple[tuple[float, float], ...] | None = None
     one_level: bool = False
     judges: int = JUDGES
-    joined: tuple[Merged, ...] = ()
+    joined: tuple[JoinedCells, ...] = ()
 
     @property
     def trains(self) -> bool:
@@ -232,12 +232,12 @@ class Stages:
             return path
         record = self.work.at(path.with_suffix(".json").name)
         if not self.work.whole(path.name) or not self.work.whole(record.name):
-            tried = merge_until_small(store, path, may_join=self.config.join_cells, progress=self.progress)
+            tried = join_until_small(store, path, may_join=self.config.join_cells, progress=self.progress)
             with atomic_path(record) as partial:
                 partial.write_text(json.dumps([asdict(each) for each in tried]), encoding="ascii")
             self.work.seal_file(path.name)
             self.work.seal_file(record.name)
-        self.joined = tuple(Merged(**each) for each in json.loads(read_whole(record)))
+        self.joined = tuple(JoinedCells(**each) for each in json.loads(read_whole(record)))
         return path
 
     def shipped_path(self, sets: Path) -> Path:

@@ -22,7 +22,7 @@ from gsvis.prepare import PrepareConfig, Prepared, estimate_preparation, prepare
 from gsvis.prepare import estimate as estimates
 from gsvis.prepare.colors import ColorConfig
 from gsvis.pvs import estimate as pvs_estimates
-from gsvis.pvs import merged
+from gsvis.pvs import joined as joined_cells
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
@@ -132,7 +132,7 @@ def test_an_option_changes_only_what_depends_on_it(
     assert new(found) == ["colors", "cost", "fidelity", "package"]
     assert "importance" not in stages  # what views found serves every fit
     assert found.manifest.terms == 0
-    monkeypatch.setattr(merged, "SHARE", 0.0)  # no set is small enough
+    monkeypatch.setattr(joined_cells, "MOST_SHARE", 0.0)  # no set is small enough
     joined = prepare(rooms, again, replace(flat, join_cells=True))
     assert new(joined) == ["fidelity", "package"]
     assert 1 == joined.joined[-1].cells < joined.joined[0].cells == found.joined[0].cells

@@ -29,24 +29,24 @@ const settled = (): Promise<void> => new Promise((done) => setTimeout(done));
 
 test("a headset that comes after the page is offered, and one that goes is not", async () => {
   const headset = new Headset();
-  const told: boolean[] = [];
-  const immersion: Immersion = new Immersion(() => told.push(immersion.offered), headset);
+  const offers: boolean[] = [];
+  const immersion: Immersion = new Immersion(() => offers.push(immersion.offered), headset);
   await settled();
-  assert.deepEqual([immersion.offered, told], [false, []]);
+  assert.deepEqual([immersion.offered, offers], [false, []]);
   await headset.becomes(true);
   await headset.becomes(true);
   await headset.becomes(false);
-  assert.deepEqual(told, [true, false]);
+  assert.deepEqual(offers, [true, false]);
 });
 
 test("a browser that refuses to say, or knows no headsets, offers none", async () => {
   const headset = new Headset();
   headset.there = new Error("the policy of the page forbids it");
-  const told: boolean[] = [];
-  const refused: Immersion = new Immersion(() => told.push(refused.offered), headset);
-  const without = new Immersion(() => told.push(true), null);
+  const offers: boolean[] = [];
+  const refused: Immersion = new Immersion(() => offers.push(refused.offered), headset);
+  const without = new Immersion(() => offers.push(true), null);
   await settled();
-  assert.deepEqual([refused.offered, without.offered, told], [false, false, []]);
+  assert.deepEqual([refused.offered, without.offered, offers], [false, false, []]);
   await headset.becomes(true);
-  assert.deepEqual(told, [true]);
+  assert.deepEqual(offers, [true]);
 });

@@ -8,7 +8,15 @@ import pytest
 from gsvis.errors import FormatError
 from gsvis.pvs._writer import CellSet, StoreInfo, share_directions, write_store
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.merged import RECORD_BYTES, SHARE, SHARED, Merged, join_cells, merge_until_small, walks_through
+from gsvis.pvs.joined import (
+    DIRECTIONS_RUN,
+    MOST_SHARE,
+    RECORD_BYTES,
+    JoinedCells,
+    join_cells,
+    join_until_small,
+    walks_through,
+)
 from gsvis.pvs.store import VisibilityStore
 
 GAUSSIANS = 1_000
@@ -65,21 +73,21 @@ def test_neighbors_share_the_union_of_their_directions(tmp_path: Path, run: int)
 
 
 def test_cells_are_joined_until_sets_are_a_fifth_and_no_longer(tmp_path: Path) -> None:
-    most = SHARE * RECORD_BYTES * GAUSSIANS
+    most = MOST_SHARE * RECORD_BYTES * GAUSSIANS
     with noise_store(tmp_path / "fine.pvs") as fine:
-        tried = merge_until_small(fine, tmp_path / "small.pvs")
+        tried = join_until_small(fine, tmp_path / "small.pvs")
         assert [each.nbytes <= most for each in tried] == [False] * (len(tried) - 1) + [True]
         assert [each.factor for each in tried] == [1, 2, 3, 4][: len(tried)]
         with VisibilityStore.open(tmp_path / "small.pvs") as small:
             assert len(small) == tried[-1].cells < len(fine)
-            assert small.directions_run == SHARED
+            assert small.directions_run == DIRECTIONS_RUN
             assert small.ever_visible() == fine.ever_visible()
         assert [path.name for path in tmp_path.iterdir() if "partial" in path.name] == []
 
 
 def test_cells_that_somebody_chose_stay(tmp_path: Path) -> None:
     with noise_store(tmp_path / "fine.pvs") as fine:
-        (only,) = merge_until_small(fine, tmp_path / "kept.pvs", may_join=False)
+        (only,) = join_until_small(fine, tmp_path / "kept.pvs", may_join=False)
         assert only.factor == 1
         with VisibilityStore.open(tmp_path / "kept.pvs") as kept:
             assert np.array_equal(kept.grid.coords, fine.grid.coords)
@@ -87,13 +95,13 @@ def test_cells_that_somebody_chose_stay(tmp_path: Path) -> None:
 
 def test_the_same_store_gives_the_same_bytes(tmp_path: Path) -> None:
     with noise_store(tmp_path / "fine.pvs") as fine:
-        first = merge_until_small(fine, tmp_path / "a.pvs")
-        assert merge_until_small(fine, tmp_path / "b.pvs") == first
+        first = join_until_small(fine, tmp_path / "a.pvs")
+        assert join_until_small(fine, tmp_path / "b.pvs") == first
     assert (tmp_path / "a.pvs").read_bytes() == (tmp_path / "b.pvs").read_bytes()
 
 
 def test_a_walk_saves_what_it_does_not_need() -> None:
-    assert Merged(1, 8, 100, walk=40.0, ever=100).saved == RECORD_BYTES * 60
+    assert JoinedCells(1, 8, 100, walk=40.0, ever=100).saved == RECORD_BYTES * 60
 
 
 def test_walks_go_from_neighbor_to_neighbor() -> None:

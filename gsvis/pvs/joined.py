@@ -26,23 +26,23 @@ from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.store import CellSet, StoreInfo, StoreWriter, VisibilityStore
 
 __all__ = [
+    "DIRECTIONS_RUN",
+    "MOST_SHARE",
     "RECORD_BYTES",
-    "SHARE",
-    "SHARED",
     "WALK_CELLS",
-    "Merged",
+    "JoinedCells",
     "join_cells",
-    "merge_until_small",
+    "join_until_small",
     "walks_through",
 ]
 
 RECORD_BYTES = 12
 """Bytes of a Gaussian with its terms in a package and on the wire, about; decides how large cells are, no more."""
 
-SHARE = 0.25
+MOST_SHARE = 0.25
 """Bytes of sets over those of Gaussians, at most: a fifth of the package."""
 
-SHARED = 16
+DIRECTIONS_RUN = 16
 """Neighbors that share a direction set in a package."""
 
 WALK_CELLS = 10
@@ -57,7 +57,7 @@ Words = NDArray[np.uint64]
 
 
 @dataclass(frozen=True)
-class Merged:
+class JoinedCells:
     """Sets of cells of one size, and what they cost and save.
 
     Attributes:
@@ -80,9 +80,9 @@ class Merged:
         return RECORD_BYTES * (self.ever - self.walk)
 
 
-def merge_until_small(
+def join_until_small(
     store: VisibilityStore, target: str | PathLike[str], *, may_join: bool = True, progress: Progress = silent
-) -> tuple[Merged, ...]:
+) -> tuple[JoinedCells, ...]:
     """Write a store with cells so large that its sets are small, and with shared direction sets.
 
     Args:
@@ -100,8 +100,8 @@ def merge_until_small(
     path = _check.path("target", target)
     walks = walks_through(store.grid)
     ever = len(store.ever_visible())
-    most = SHARE * RECORD_BYTES * store.gaussians
-    tried = [Merged(1, len(store), _bytes_of(store), _walk(store, walks, tuple(range(len(store)))), ever)]
+    most = MOST_SHARE * RECORD_BYTES * store.gaussians
+    tried = [JoinedCells(1, len(store), _bytes_of(store), _walk(store, walks, tuple(range(len(store)))), ever)]
     progress("join", 0, 1)
     with temporary_folder() as folder:
         written = store.path
@@ -111,8 +111,8 @@ def merge_until_small(
             written = folder / "joined.pvs"
             of = join_cells(store, written, factor)
             with VisibilityStore.open(written) as joined:
-                tried.append(Merged(factor, len(joined), _bytes_of(joined), _walk(joined, walks, of), ever))
-        share_directions(written, path, SHARED)
+                tried.append(JoinedCells(factor, len(joined), _bytes_of(joined), _walk(joined, walks, of), ever))
+        share_directions(written, path, DIRECTIONS_RUN)
     progress("join", 1, 1)
     return tuple(tried)
 
@@ -138,7 +138,7 @@ def join_cells(store: VisibilityStore, target: str | PathLike[str], factor: int)
     config = {**info.config, "joined": {"factor": factor, "cells": len(old)}}
     with StoreWriter(target, grid, StoreInfo(info.gaussians, info.scene, info.tau, info.class_edges, config)) as writer:
         for cell in range(len(grid)):
-            writer.add_cell(_joined(store, np.flatnonzero(of == cell)))
+            writer.add_cell(_join(store, np.flatnonzero(of == cell)))
         writer.finish(store.direction_sets)
     return tuple(of.tolist())
 
@@ -176,7 +176,7 @@ def _factors(grid: CellGrid) -> Iterator[int]:
         yield longest
 
 
-def _joined(store: VisibilityStore, cells: I64) -> CellSet:
+def _join(store: VisibilityStore, cells: I64) -> CellSet:
     """Return the set of some cells together."""
     levels = np.zeros(store.gaussians, np.uint8)
     for cell in cells.tolist():
