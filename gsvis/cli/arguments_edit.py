@@ -54,7 +54,7 @@ class Train:
     source: Annotated[Positional[str], arg(metavar="PHOTOS", help_behavior_hint="")]
     """Folder of photographs with a COLMAP model (undistorted), or with a transforms.json."""
     out: Annotated[str, out("FILE")]
-    """The scene to write, .ply, .spz, .sog or .ksplat. Its record goes beside it: scene.train.json."""
+    """The scene to write, .ply, .compressed.ply, .spz, .sog or .ksplat. Its record goes beside it: scene.train.json."""
     photos: Photographs = Photographs()
     training: Training = Training()
     backend: Annotated[Literal["auto", "cpu", "cuda"], readers.PLAIN] = "auto"
@@ -97,7 +97,8 @@ class Convert:
     """Files or folders (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME. Several
     scenes become one, in their order. Without -o there is one scene, and OUT stands behind it."""
     out: Annotated[str | None, out("OUT", "(default: the last path)")] = None
-    """File to write: .ply, .spz, .sog, .ksplat, or a page, .html. An existing one needs --overwrite."""
+    """File to write: .ply, .compressed.ply, .spz, .sog, .ksplat, or a page, .html. An existing one needs
+    --overwrite."""
     lod: Annotated[tuple[int, ...] | None, readers.LODS, hint("the finest that is there")] = None
     """Level of detail of a streamed scene; 0 is the finest. One number for all, or one for each, as in 3,2."""
     crop: Annotated[tuple[float, ...] | None, readers.BOX, hint("no crop")] = None
@@ -140,7 +141,7 @@ class Clean:
 
     scene: Scene
     out: Annotated[str | None, out("OUT", "(default: only report)")] = None
-    """File to write, .ply, .spz, .sog or .ksplat."""
+    """File to write, .ply, .compressed.ply, .spz, .sog or .ksplat."""
     lod: Lod = None
     report: Annotated[str | None, hint("no report", "DIR")] = None
     """Report to write: a folder for report.html (all in one file), report.json and pictures of what goes, by class."""
@@ -187,7 +188,7 @@ class Cut:
 
     scene: Scene
     out: Annotated[str, out("FILE")]
-    """The scene to write, .ply, .spz, .sog or .ksplat. An existing file needs --overwrite."""
+    """The scene to write, .ply, .compressed.ply, .spz, .sog or .ksplat. An existing file needs --overwrite."""
     lod: Lod = None
     where: Annotated[
         Placed,
@@ -211,8 +212,8 @@ class Paint:
 
     scene: Scene
     out: Annotated[str, out("FILE")]
-    """The scene to write, .ply, .spz, .sog or .ksplat. Its legend goes beside it: scene.legend.png. Existing files need
-    --overwrite."""
+    """The scene to write, .ply, .compressed.ply, .spz, .sog or .ksplat. Its legend goes beside it:
+    scene.legend.png. Existing files need --overwrite."""
     by: Annotated[Literal["visibility", "directions", "weight", "importance", "cell"], readers.PLAIN] = "visibility"
     """visibility: share of the eyes that see it; directions: of 80, from how many; weight: largest share of a pixel;
     importance: change of views without it; cell: the cell that sees it best. (default: visibility)"""

@@ -23,6 +23,7 @@ from gsvis.cli.where import check_where, find_place, framed_cameras, parse_up, s
 from gsvis.errors import SceneError
 from gsvis.files.temporary import temporary_folder
 from gsvis.io.cameras import load_cameras_at
+from gsvis.io.scenes import suffix_of
 from gsvis.io.sources import check_source, is_builtin
 from gsvis.scene.place import Place
 
@@ -313,7 +314,7 @@ def _in_tiles(command: Clean) -> bool:
     words = f"--max-memory: expected at least {least_size_of(need)} for {count:,} Gaussians at once"
     for option in changed(command, _WHOLE):
         raise ValueError(f"{words}, got {size_of(command.max_memory)}; {option} needs all of them: leave it out")
-    if command.out is not None and Path(command.out).suffix.lower() != ".ply":
+    if command.out is not None and suffix_of(command.out) != ".ply":
         raise ValueError(f"{words}, got {size_of(command.max_memory)}; tiles are written to a .ply: name one with -o")
     if _most(command.max_memory) < _LEAST:
         from gsvis.edit.large import JOINT

@@ -19,7 +19,7 @@ from gsvis.io.batches import Batch, list_batches
 from gsvis.io.convert import AXES, convert_scene, merge_scenes, rotation_about_axes
 from gsvis.io.convert_batches import convert_batches
 from gsvis.io.ksplat import save_ksplat
-from gsvis.io.scenes import check_scene, save_scene
+from gsvis.io.scenes import check_scene, save_scene, suffix_of
 from gsvis.io.sources import check_source, is_builtin, is_levels, load_source, title_of
 from gsvis.io.spz import save_spz
 from gsvis.scene.axes import axis_vector
@@ -93,7 +93,7 @@ def _batches(command: Convert, scenes: tuple[str, ...], lods: list[int | None], 
     found = (
         [] if any(is_builtin(scene) or is_levels(scene) for scene in scenes) else list(map(list_batches, scenes, lods))
     )
-    if target.suffix.lower() == ".ply" and sum(map(len, found)) > 1:
+    if suffix_of(target) == ".ply" and sum(map(len, found)) > 1:
         whole = [batch for scene in found for batch in scene if batch.kind == "whole"]
         check_memory("convert", [(batch.path, batch.lod) for batch in whole], command.max_memory, together=False)
         return found

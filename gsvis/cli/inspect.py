@@ -11,6 +11,7 @@ from gsvis.cli.source import inspect_scene_of, open_source
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, find_place, flyaway_remarks, space_document, suspect_views
 from gsvis.io.facts import facts_to_json
+from gsvis.io.scenes import suffix_of
 from gsvis.package.shown import judged_of, load_shown
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.histograms import Band, Histogram, measure_bands, measure_histograms
@@ -133,4 +134,4 @@ def _quantiles(found: dict[str, float]) -> str:
 
 def _suffix(path: Path) -> str:
     """Return the suffix of a scene file as text."""
-    return "".join(path.suffixes[-2:]) if path.name.endswith(".compressed.ply") else path.suffix or "no suffix"
+    return suffix_of(path) or "no suffix"

@@ -15,7 +15,7 @@ from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path, find_interrupted_moves
 from gsvis.files.limits import open_regular
 from gsvis.files.output import check_folder
-from gsvis.io.scenes import WRITTEN
+from gsvis.io.scenes import WRITTEN, suffix_of
 from gsvis.io.sources import inputs_of, is_levels
 
 __all__ = [
@@ -129,7 +129,7 @@ def check_scene_out(
     """
     target = Path(out)
     known = (*WRITTEN, *others)
-    if target.suffix.lower() not in known or target.name.lower().endswith(".compressed.ply"):
+    if suffix_of(target) not in known:
         near = _check.suggestion(target.suffix, known)
         raise ValueError(
             f"{name}: expected a name that ends in {', '.join(known)}, got {out!r}; "

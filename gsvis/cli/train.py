@@ -21,7 +21,7 @@ from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
 from gsvis.files.atomic import atomic_path, remove_partials
 from gsvis.files.limits import open_regular
 from gsvis.files.output import check_file
-from gsvis.io.scenes import WRITTEN
+from gsvis.io.scenes import WRITTEN, suffix_of
 from gsvis.prepare.warm import warm_training
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def _check_arguments(command: Train) -> TrainConfig:
     """Check the arguments before work begins; return the settings of the training."""
     check_exists(command.source)
     out = Path(command.out)
-    if out.suffix.lower() not in WRITTEN or out.name.lower().endswith(".compressed.ply"):
+    if suffix_of(out) not in WRITTEN:
         raise ValueError(f"--out: expected a name that ends in {', '.join(WRITTEN)}, got {command.out!r}")
     for path in (out, record_of(command), checkpoint_of(command)):
         check_file(path)

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.io.streamed_sog_writer import LeafScene, Tree
-from gsvis.package.order import morton_codes
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
+from gsvis.scene.morton import morton_codes
 
 __all__ = ["LEAF", "Leaves", "cut_leaves"]
 

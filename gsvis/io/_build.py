@@ -29,6 +29,7 @@ __all__ = [
     "report_dropped",
     "sh0_from_rgb",
     "sigmoid",
+    "smallest_three",
 ]
 
 F32 = NDArray[np.float32]
@@ -87,6 +88,17 @@ def largest_from_three(three: NDArray[np.floating[Any]], largest: NDArray[np.int
         for column, other in enumerate(c for c in range(4) if c != place):
             quats[rows, other] = three[rows, column]
     return quats
+
+
+def smallest_three(quats: F32) -> tuple[F32, NDArray[np.int64]]:
+    """Return the three smaller components (N, 3) of unit quaternions (N, 4), and the index of the largest.
+
+    The inverse of `largest_from_three`: signs are chosen so that the largest component is positive.
+    """
+    largest = np.abs(quats).argmax(axis=1)
+    positive = np.where(np.take_along_axis(quats, largest[:, None], axis=1) < 0, -quats, quats)
+    others = np.array([[c for c in range(4) if c != place] for place in range(4)])
+    return np.take_along_axis(positive, others[largest], axis=1), largest
 
 
 def bytes_of_scene(count: int, sh_degree: int) -> int:

@@ -20,6 +20,7 @@ from gsvis.io._origin import settle_origin
 from gsvis.io._table import join_names
 from gsvis.io._wrapped import GZIP, HEAD, check_pointer, gunzip, peek_gzip
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
+from gsvis.io.compressed_ply_writer import save_compressed_ply
 from gsvis.io.folders import scene_remedy
 from gsvis.io.gltf_splats import MAGIC, decode_gltf_splats, load_gltf_splats
 from gsvis.io.invalid import dropping_invalid, is_dropping
@@ -32,7 +33,7 @@ from gsvis.io.spz import load_spz, save_spz
 from gsvis.io.streamed_sog import load_streamed_sog
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["WRITTEN", "check_scene", "load_scene", "save_scene"]
+__all__ = ["WRITTEN", "check_scene", "load_scene", "save_scene", "suffix_of"]
 
 _KNOWN = (
     "a scene: PLY (.ply, .compressed.ply), .splat, .ksplat, SPZ (.spz), SOG (.sog or a folder with meta.json), "
@@ -56,6 +57,7 @@ _WRITERS: dict[str, Callable[[Gaussians, str | os.PathLike[str]], None]] = {
     ".spz": save_spz,
     ".sog": save_sog,
     ".ksplat": save_ksplat,
+    ".compressed.ply": save_compressed_ply,
 }
 WRITTEN = tuple(_WRITERS)
 """Suffixes of the formats that `save_scene` writes."""
@@ -130,27 +132,34 @@ def save_scene(scene: Gaussians, path: str | os.PathLike[str]) -> None:
     """Write a scene in the format of the path's suffix, atomically.
 
     INRIA PLY (`.ply`) keeps everything; SPZ (`.spz`) and SOG (`.sog`) are about ten times smaller and lossy; `.ksplat`
-    is for GaussianSplats3D and also lossy.
+    for GaussianSplats3D and compressed PLY (`.compressed.ply`) for PlayCanvas are also lossy.
 
     Args:
         scene: The scene.
-        path: A file name that ends in `.ply`, `.spz`, `.sog` or `.ksplat`; its folder is created if missing.
+        path: A file name that ends in `.ply`, `.spz`, `.sog`, `.ksplat` or `.compressed.ply`; its folder is
+            created if missing.
 
     Raises:
         ValueError: If the suffix is not one of these, the scene is empty, or the format cannot hold it.
         OSError: If the file cannot be written.
     """
     where = _check.path("path", path)
-    writer = _WRITERS.get(where.suffix.lower())
-    if writer is None or where.name.lower().endswith(".compressed.ply"):
-        near = _check.suggestion(where.suffix, _WRITERS) if writer is None else ""
+    writer = _WRITERS.get(suffix_of(where))
+    if writer is None:
+        near = _check.suggestion(where.suffix, _WRITERS)
         raise ValueError(
             f"path: expected a name that ends in {', '.join(_WRITERS)}, got {where.name!r}; "
-            + (near or "gsvis can only read other formats, including compressed PLY")
+            + (near or "gsvis can only read other formats")
         )
     if len(scene) == 0:
         raise ValueError("scene: expected at least one Gaussian, got an empty scene; there is nothing to write")
     writer(scene, where)
+
+
+def suffix_of(path: str | os.PathLike[str]) -> str:
+    """Return the suffix of a scene file in small letters: '.ply', or '.compressed.ply' where both parts are there."""
+    name = os.fspath(path).lower()
+    return ".compressed.ply" if name.endswith(".compressed.ply") else Path(name).suffix
 
 
 def _check_content(path: Path) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.files.atomic import atomic_path
+from gsvis.io._build import smallest_three
 from gsvis.io._origin import size_of_gaussians
 from gsvis.io._quantize import codebook_of, nearest_entry, palette_of
 from gsvis.io._webp import MAX_PIXELS, encode_plane
@@ -174,10 +175,7 @@ def _means(scene: Gaussians, planes: dict[str, U8]) -> dict[str, Any]:
 
 def _quats(quats: F32) -> U8:
     """Return (N, 4) bytes: the three smaller components, and 252 plus the index of the largest."""
-    largest = np.abs(quats).argmax(axis=1)
-    positive = np.where(np.take_along_axis(quats, largest[:, None], axis=1) < 0, -quats, quats)
-    others = np.array([[c for c in range(4) if c != place] for place in range(4)])
-    three = np.take_along_axis(positive, others[largest], axis=1)
+    three, largest = smallest_three(quats)
     packed = np.clip(np.rint((three * np.sqrt(0.5) + 0.5) * 255.0), 0, 255)
     return np.column_stack([packed, 252 + largest]).astype(np.uint8)
 

@@ -13,14 +13,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis import _check
-from gsvis.package._kernels import records as kernels
 from gsvis.package.codec import chunk_starts
 from gsvis.package.lattice import Lattices, find_lattices
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
+from gsvis.scene.morton import morton_codes
 
-__all__ = ["MOST_GAUSSIANS", "PackageOrder", "in_package_order", "morton_codes"]
+__all__ = ["MOST_GAUSSIANS", "PackageOrder", "in_package_order"]
 
 I64 = NDArray[np.int64]
 U64 = NDArray[np.uint64]
@@ -81,19 +80,6 @@ def in_package_order(levels: Levels) -> Levels:
     """
     order = PackageOrder.from_levels(levels).permutation
     return Levels(levels.union[order], levels.first[order], levels.last[order], levels.names)
-
-
-def morton_codes(means: NDArray[np.float32], center: NDArray[np.float64], half: float) -> U64:
-    """Return codes (N,) along a Morton curve of 2^63 cells, evenly spaced within `half` of `center` (3,).
-
-    Args:
-        means: (N, 3) positions in the frame and units of `center`.
-        center: (3,) middle of the even part of the curve.
-        half: Half the width of the even part, > 0; outside of it, cells are larger.
-    """
-    codes = np.empty(len(means), np.uint64)
-    kernels.morton(*_check.read_only(means), center, half, codes)
-    return codes
 
 
 def _curve_frame(g: Gaussians) -> tuple[NDArray[np.float64], float]:

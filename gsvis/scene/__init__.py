@@ -21,6 +21,7 @@ _MODULES = (
     "lengths",
     "levels",
     "link",
+    "morton",
     "navigable",
     "paths",
     "place",

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES
-from gsvis.package.order import morton_codes
+from gsvis.scene.morton import morton_order
 from gsvis.simulate.delivery import Parcel
 
 __all__ = ["CHUNK", "MortonProgressive", "WholeFile", "morton_order", "terms_of"]
@@ -128,16 +128,6 @@ class MortonProgressive(_Unaware):
     def describe(self) -> dict[str, Any]:
         """Return the sizes and their source."""
         return {"bytes": self.nbytes, "measured": self.measured}
-
-
-def morton_order(means: ArrayLike) -> I64:
-    """Return (N,) the order of centers (N, 3) along a Morton curve over the box of the middle 98% of them."""
-    points = _check.floats("means", means, ("N", 3))
-    if len(points) == 0:
-        return np.zeros(0, np.int64)
-    low, high = np.quantile(points.astype(np.float64), [0.01, 0.99], axis=0)
-    half = max(float((high - low).max()) / 2.0, 1e-9)
-    return np.argsort(morton_codes(points, (low + high) / 2.0, half), kind="stable")
 
 
 def _highest(contents: Contents) -> I64:

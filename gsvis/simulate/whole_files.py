@@ -27,7 +27,7 @@ from gsvis.progress import Progress, silent
 from gsvis.render import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.simulate.baselines import morton_order
+from gsvis.scene.morton import morton_order
 from gsvis.simulate.frames import psnr_of
 from gsvis.simulate.viewing import GOOD_DB
 

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.package.order import morton_codes
 from gsvis.prepare.surroundings import Surroundings
 from gsvis.pvs.cell_view import CellView, Sighting
 from gsvis.pvs.coded_size import bytes_of_cell, bytes_of_directions
 from gsvis.raycast.directions import face_of
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
+from gsvis.scene.morton import morton_codes
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.levels import LevelsConfig
 

@@ -202,7 +202,10 @@ def test_a_page_is_the_one_of_export(monkeypatch: pytest.MonkeyPatch, here: Path
         (["b.ply", "-o", "b.ply", "--overwrite"], "OUT: expected another file than IN, got b.ply"),
         (["a.ply", "b.ply"], "b.ply: expected a new file, got one that exists; name another, or say --overwrite"),
         (["a.ply", "-o", "b.ply"], "b.ply: expected a new file"),
-        (["a.ply", "-o", "c.splat"], "OUT: expected a name that ends in .ply, .spz, .sog, .ksplat, .html"),
+        (
+            ["a.ply", "-o", "c.splat"],
+            "OUT: expected a name that ends in .ply, .spz, .sog, .ksplat, .compressed.ply",
+        ),
         (["a.ply", "-o", "c.ply", "--translate", "1", "2", "3", "4"], "IN: expected a scene, got 4; --translate"),
         (["a.ply", "c.ply", "--scale", "2", "3"], "IN: expected a scene, got 3; --translate"),
         (["a.ply", "c.ply", "--lod", "1"], "--lod: expected none for a scene with one level of detail, got 1"),

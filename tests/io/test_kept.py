@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from gsvis.io.compressed_ply_writer import save_compressed_ply
 from gsvis.io.gltf_splats_writer import save_glb
 from gsvis.io.ksplat import save_ksplat
 from gsvis.io.losses import Loss, watch_losses
@@ -22,6 +23,7 @@ from gsvis.io.sog_writer import save_sog
 from gsvis.io.spz import save_spz
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.morton import morton_order
 from gsvis.scene.sh import SH_C0
 from tests.io.scene_files import random_scene
 
@@ -38,6 +40,7 @@ class Format:
     sh0: float = 1e-6
     shN: float = 1e-6  # noqa: N815  the field's own name
     turn: float = 1e-3
+    order: Callable[[Any], Any] | None = None
 
 
 BYTE = 0.5 / 255.0
@@ -50,6 +53,13 @@ SPZ = {
 }
 KSPLAT = {"opacities": BYTE + 1e-6, "sh0": BYTE / SH_C0 + 1e-5}
 HALF = {**KSPLAT, "log_scales": 6e-4, "turn": 1.5e-3}
+COMPRESSED = {
+    "log_scales": 0.5 / 32,
+    "opacities": BYTE + 1e-6,
+    "sh0": BYTE / SH_C0 + 1e-5,
+    "shN": 4.0 / 256,
+    "turn": 3e-3,
+}
 FORMATS = {
     "ply": Format(".ply", save_ply),
     "spz": Format(".spz", save_spz, means=4e-5, **SPZ),
@@ -57,6 +67,7 @@ FORMATS = {
     "ksplat0": Format(".ksplat", lambda g, p: save_ksplat(g, p, compression=0), **KSPLAT),
     "ksplat1": Format(".ksplat", save_ksplat, means=4e-5, shN=1e-3, **HALF),
     "ksplat2": Format(".ksplat", lambda g, p: save_ksplat(g, p, compression=2), means=4e-5, shN=0.02, **HALF),
+    "compressed": Format(".compressed.ply", save_compressed_ply, means=4e-3, order=morton_order, **COMPRESSED),
     "glb": Format(".glb", save_glb),
     "glb-spz": Format(".glb", lambda g, p: save_glb(g, p, compression="spz"), means=4e-5, **SPZ),
 }
@@ -116,8 +127,10 @@ def check_kept(before: Gaussians, after: Gaussians, fmt: Format, losses: list[Lo
     if "centers" not in said:
         away, match = cKDTree(here).query(there)
         assert away.max() <= fmt.means + 1e-12 * np.abs(there).max()
+    elif fmt.order is not None:
+        match = np.argsort(fmt.order(before.means))
     else:
-        match = np.arange(len(before))  # ours keep the order where they move centers
+        match = np.arange(len(before))  # the others keep the order where they move centers
     after = after[match]
     found = {
         "scales": np.abs(np.log(after.scales.astype(float)) - np.log(before.scales.astype(float))).max()
@@ -158,7 +171,7 @@ def test_facts_survive_every_pair_of_formats(tmp_path: Path, written_once: Write
     assert source == FACTS.up_source
     assert replace(twice.facts, up=None, up_source="") == replace(FACTS, up=None, up_source="")
     assert {loss.what for loss in losses} <= {"antialiased"}
-    assert bool(losses) == (second not in ("ply", "spz", "sog"))  # kept for gsvis alone: one line
+    assert bool(losses) == (second not in ("ply", "compressed", "spz", "sog"))  # kept for gsvis alone: one line
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)

@@ -14,10 +14,13 @@ import zstandard
 from gsvis.errors import FormatError
 from gsvis.io._build import largest_from_three
 from gsvis.io._kernels import spz as kernels
+from gsvis.io.compressed_ply_writer import save_compressed_ply
+from gsvis.io.losses import watch_losses
 from gsvis.io.ply import load_ply
 from gsvis.io.splat import load_splat
 from gsvis.io.spz import load_spz, save_spz
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.morton import morton_order
 from gsvis.scene.sh import rotation_of_sh
 from tests.io.scene_files import compressed_ply_bytes, random_scene, splat_bytes, spz_bytes
 
@@ -56,6 +59,26 @@ def test_compressed_ply_of_older_writers_without_color_ranges(tmp_path: Path) ->
     scene = random_scene(10, 0)
     got = load_ply(put(tmp_path, "a.ply", compressed_ply_bytes(scene, color_range=False)))
     np.testing.assert_allclose(got.sh0, scene.sh0, atol=1 / 254 / 0.282)
+
+
+@pytest.mark.parametrize("count", [1, 256, 300])
+def test_a_compressed_ply_is_written_as_the_plain_writer_does(tmp_path: Path, count: int) -> None:
+    scene = random_scene(count, 2)
+    save_compressed_ply(scene, tmp_path / "ours.compressed.ply")
+    ours = load_ply(tmp_path / "ours.compressed.ply")
+    plain = load_ply(put(tmp_path, "plain.ply", compressed_ply_bytes(scene[morton_order(scene.means)])))
+    for name in ("means", "scales", "opacities", "sh0", "shN", "quats"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(plain, name), rtol=2e-6, atol=2e-6, err_msg=name)
+
+
+def test_a_flyaway_in_a_compressed_ply_is_reported(tmp_path: Path) -> None:
+    g = random_scene(300, 0)
+    means = np.array(g.means)
+    means[0] = 1e6
+    with watch_losses() as losses:
+        scene = Gaussians(means, g.quats, g.scales, g.opacities, g.sh0, g.shN)
+        save_compressed_ply(scene, tmp_path / "a.compressed.ply")
+    assert [(loss.what, loss.count) for loss in losses] == [("centers", 44)]
 
 
 @pytest.mark.parametrize(

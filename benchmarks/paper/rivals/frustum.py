@@ -9,7 +9,7 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.predict import Pose
 from gsvis.package.contents import Contents
-from gsvis.simulate.baselines import morton_order
+from gsvis.scene.morton import morton_order
 from paper.rivals.flow import Window
 from paper.rivals.pieces import Pieces, Sender, boxes_in_view, boxes_of, distances_to
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.package.contents import Contents
-from gsvis.simulate.baselines import morton_order
+from gsvis.scene.morton import morton_order
 from paper.rivals.pieces import Pieces, boxes_of
 
 __all__ = ["Segments", "added_at_level", "layers_by_importance", "level_files", "level_layers"]

@@ -1,4 +1,4 @@
-"""Kernels of the package: chunks of Gaussians, records of 16 bytes, places along a Morton curve.
+"""Kernels of the package: chunks of Gaussians, records of 16 bytes.
 
 Arrays are checked and contiguous. Decoding uses only integers, exact float64 products and correctly rounded operations,
 so any client that follows `reference.py` gets the same bits. In a logarithmic chunk, coordinates may differ by the
@@ -11,7 +11,7 @@ import numpy as np
 
 from gsvis._kernels.compiled import kernel
 
-__all__ = ["chunk_starts", "decode", "encode", "morton", "put_places"]
+__all__ = ["chunk_starts", "decode", "encode", "put_places"]
 
 SQRT_HALF = 0.7071067811865476
 # range of log-scales in 1/64 octaves: normal numbers of float32
@@ -19,27 +19,6 @@ LEAST_LOG = -126 * 64
 MOST_LOG = 128 * 64 - 1
 THINNEST = 11 * 64  # a scale that is smaller than the largest by more than this is raised, which nobody sees
 LARGEST = np.float64(np.finfo(np.float32).max)
-
-
-@kernel
-def morton(means, center, half, out):
-    """Write codes (N,) uint64 along a Morton curve of 2^63 cells, evenly spaced within `half` of the center (3,)."""
-    for i in range(len(means)):
-        code = np.uint64(0)
-        for axis in range(3):
-            u = (np.float64(means[i, axis]) - center[axis]) / half
-            if u > 1.0:
-                u = 2.0 - 1.0 / u
-            elif u < -1.0:
-                u = -2.0 - 1.0 / u
-            cell = np.uint64(min(max((u + 2.0) * 524288.0, 0.0), 2097151.0))
-            cell = (cell | (cell << np.uint64(32))) & np.uint64(0x1F00000000FFFF)
-            cell = (cell | (cell << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)
-            cell = (cell | (cell << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
-            cell = (cell | (cell << np.uint64(4))) & np.uint64(0x10C30C30C30C30C3)
-            cell = (cell | (cell << np.uint64(2))) & np.uint64(0x1249249249249249)
-            code |= cell << np.uint64(axis)
-        out[i] = code
 
 
 @kernel
