@@ -20,6 +20,7 @@ EXTRAS = {
     "lpips": "metrics",
     "matplotlib": "report",
     "open3d": "open3d",
+    "pxr": "usd",
     "pycolmap": "train",
     "skimage": "mesh",
     "torch": "torch",
@@ -28,7 +29,7 @@ EXTRAS = {
 """The extra of pyproject.toml that installs each optional package."""
 
 
-_PROJECTS = {"skimage": "scikit-image"}
+_PROJECTS = {"pxr": "usd-core", "skimage": "scikit-image"}
 
 
 def project_of(package: str) -> str:

@@ -223,11 +223,11 @@ class Export:
     scene: Scene
     """A package, or a scene as it is: a file or folder that gsvis reads, or builtin:NAME."""
     out: Annotated[str, out("OUT")]
-    """Folder of the site, the streamed SOG or the tileset, or the .html or .glb file."""
-    format: Annotated[Literal["static", "html", "streamed-sog", "3dtiles", "glb"], readers.PLAIN] = "static"
+    """Folder of the site, the streamed SOG or the tileset, or the .html, .glb or .usdz file."""
+    format: Annotated[Literal["static", "html", "streamed-sog", "3dtiles", "glb", "usd"], readers.PLAIN] = "static"
     """static: a site that any file server or CDN serves; html: one file that opens from disk; streamed-sog: leaves for
-    PlayCanvas' engine, and which of them each cell needs; 3dtiles: a tileset for CesiumJS; glb: one file of glTF.
-    (default: static)"""
+    PlayCanvas' engine, and which of them each cell needs; 3dtiles: a tileset for CesiumJS; glb: one file of glTF; usd:
+    one file of OpenUSD. (default: static)"""
     pvs: Annotated[str | None, hint("those of a package", "FILE")] = None
     """Visible sets of SCENE (gsvis pvs), where it is no package; for streamed-sog and 3dtiles."""
     never_seen: Annotated[Literal["keep", "drop"], readers.PLAIN] = "keep"
@@ -241,7 +241,7 @@ class Export:
     """Have viewers of 3dtiles request a tile only in the box of the cells that need it. From outside of all cells
     little is drawn then. Needs visible sets."""
     meters_per_unit: Annotated[Units, hint("the package's, or 1")] = None
-    """Length of a scene unit in meters, for 3dtiles and glb."""
+    """Length of a scene unit in meters, for 3dtiles, glb and usd."""
     name: Annotated[str | None, hint("that of SCENE", "NAME")] = None
     """Name of the scene in the page."""
     page: Presented = Presented()

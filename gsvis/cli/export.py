@@ -37,6 +37,7 @@ __all__ = ["run_export"]
 
 Triple = tuple[float, float, float]
 _PRESENTED = tuple(each.name for each in fields(Presented))
+_SUFFIXES = {"glb": (".glb",), "html": (".html", ".htm"), "usd": (".usdz", ".usdc", ".usda", ".usd")}
 _UPRIGHT = 0.98  # cosine of the angle between two axes that are alike
 _PLACING = tuple(name for name in PLACING if name != "up")
 
@@ -47,7 +48,7 @@ def run_export(command: Export) -> None:
     opens = parse_origins("--page-origins", command.page.page_origins)
     _check_target(command)
     _check_apart(command)
-    if command.format in ("streamed-sog", "3dtiles", "glb"):
+    if command.format in ("streamed-sog", "3dtiles", "glb", "usd"):
         _export_leaves(command)
         return
     from gsvis.export import PageOptions, StaticOptions, check_page, write_html, write_site
@@ -103,7 +104,7 @@ def _check_options(command: Export) -> HeadPath | None:
         "--leaf": (command.leaf, leaves),
         "--never-seen": (command.never_seen != "keep" or None, leaves),
         "--compression": (None if command.compression == "auto" else command.compression, gltf),
-        "--meters-per-unit": (command.meters_per_unit, gltf),
+        "--meters-per-unit": (command.meters_per_unit, (*gltf, "usd")),
         "--request-volumes": (command.request_volumes or None, ("3dtiles",)),
         "--name": (command.name, pages),
         **{option: (words, ("static", "html")) for option, words in changed(command, (*_PLACING, *_PRESENTED)).items()},
@@ -150,9 +151,13 @@ def _check_target(command: Export) -> None:
         check_site(out, command.overwrite)
         check_target(out / "scene")
         return
-    suffixes = (".glb",) if command.format == "glb" else (".html", ".htm")
-    if out.suffix.lower() not in suffixes:
-        raise ValueError(f"--out: expected a file that ends in {suffixes[0]}, got {command.out}; name one")
+    if out.suffix.lower() not in _SUFFIXES[command.format]:
+        known = ", ".join(_SUFFIXES[command.format])
+        raise ValueError(f"--out: expected a file that ends in {known}, got {command.out}; name one")
+    if command.format == "usd":
+        from gsvis.io.usd_writer import check_usd
+
+        check_usd(out)
     check_file(out)
     check_new(out, command.overwrite)
 
@@ -207,7 +212,7 @@ def _export_leaves(command: Export) -> None:
         about = {"format": "gsvis-export", "version": 1, "in": command.scene, "out": command.out}
         listed = {key: value for key, value in asdict(found).items() if key not in ("path", "nbytes")}
         print_json({**about, "kind": command.format, "bytes": found.nbytes, **listed})
-    elif command.format == "glb":
+    elif command.format in ("glb", "usd"):
         degree = f"SH degree {found.sh_degree}"
         show(f"{command.out}: {found.gaussians:,} Gaussians, {degree}, {size_of(found.nbytes)}")
     elif command.format == "3dtiles":
@@ -221,7 +226,7 @@ def _export_leaves(command: Export) -> None:
 
 def _write(command: Export, scene: Any, store: Any, name: str, up: Triple | None, status: Status) -> Any:
     """Write the scene in the format of the command; return the report of the writer."""
-    from gsvis.export import StreamedOptions, TilesOptions, write_glb, write_streamed_sog, write_tiles
+    from gsvis.export import StreamedOptions, TilesOptions, write_glb, write_streamed_sog, write_tiles, write_usd
     from gsvis.export.leaves import LEAF
 
     leaf = command.leaf or LEAF
@@ -238,6 +243,8 @@ def _write(command: Export, scene: Any, store: Any, name: str, up: Triple | None
         up=up,
         meters_per_unit=command.meters_per_unit,
     )
+    if command.format == "usd":
+        return write_usd(command.out, scene, options, progress=status)
     if single:
         return write_glb(command.out, scene, options, progress=status)
     return write_tiles(command.out, scene, options, **more)

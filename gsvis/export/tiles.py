@@ -1,6 +1,6 @@
-"""Write scenes as glTF, one `.glb` or 3D Tiles 1.1, for CesiumJS and other existing viewers.
+"""Write scenes as glTF, one `.glb` or 3D Tiles 1.1, for CesiumJS and other existing viewers; and as one file of USD.
 
-Both hold Gaussians with the extension KHR_gaussian_splatting; see `gsvis.io.gltf_splats_writer`. docs/tiles.md says
+glTF holds Gaussians with the extension KHR_gaussian_splatting; see `gsvis.io.gltf_splats_writer`. docs/tiles.md says
 what a tileset holds, and which viewers showed it.
 """
 
@@ -9,7 +9,9 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Literal
@@ -27,6 +29,7 @@ from gsvis.files.atomic import atomic_folder
 from gsvis.files.folders import check_replaceable, remove_earlier
 from gsvis.io.gltf_splats_writer import Compression, check_size, encode_glb, report_antialiased, save_glb
 from gsvis.io.spz import report_spz_losses
+from gsvis.io.usd_writer import check_usd, save_usd
 from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
@@ -34,7 +37,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.similarity import upright_matrix
 
-__all__ = ["GlbReport", "TilesOptions", "TilesReport", "check_tiles_target", "write_glb", "write_tiles"]
+__all__ = ["FileReport", "TilesOptions", "TilesReport", "check_tiles_target", "write_glb", "write_tiles", "write_usd"]
 
 _OURS = re.compile(r"(?:\d+_\d+|env)-[0-9a-f]{8}\.glb")
 
@@ -79,8 +82,8 @@ class TilesOptions:
 
 
 @dataclass(frozen=True)
-class GlbReport:
-    """Result of `write_glb`.
+class FileReport:
+    """Result of `write_glb` and `write_usd`.
 
     Attributes:
         path: The file.
@@ -137,7 +140,7 @@ def write_glb(
     options: TilesOptions | None = None,
     *,
     progress: Progress = silent,
-) -> GlbReport:
+) -> FileReport:
     """Write the highest level of a scene as one `.glb`, atomically. The same scene gives the same bytes.
 
     Args:
@@ -155,13 +158,57 @@ def write_glb(
     said = options or TilesOptions(compression="none")
     if isinstance(scene, Package) and said.compression == "none":  # before the fit of its colors, which takes long
         check_size(scene.manifest.counts[-1], 3 if scene.manifest.terms else 0)
+    return _write_one(path, scene, said, partial(save_glb, compression=said.compression), progress)
+
+
+def write_usd(
+    path: str | PathLike[str],
+    scene: Package | Levels | Gaussians,
+    options: TilesOptions | None = None,
+    *,
+    progress: Progress = silent,
+) -> FileReport:
+    """Write the highest level of a scene as OpenUSD, atomically; see `gsvis.io.usd_writer`.
+
+    Args:
+        path: The file: `.usdz`, `.usdc`, `.usda` or `.usd`.
+        scene: A package, levels, or Gaussians.
+        options: Options, of which up axis and length of a unit apply; None means `TilesOptions()`.
+        progress: As for `write_glb`.
+
+    Raises:
+        ValueError: If the suffix is none of these.
+        MissingExtraError: If `usd-core` is not installed.
+        SceneError: If the scene is empty.
+        OSError: If the file cannot be written.
+    """
+    check_usd(path)
+    return _write_one(path, scene, options or TilesOptions(), save_usd, progress)
+
+
+def _write_one(
+    path: str | PathLike[str],
+    scene: Package | Levels | Gaussians,
+    said: TilesOptions,
+    save: Callable[..., int],
+    progress: Progress,
+) -> FileReport:
+    """Write the highest level of a scene as one file with +y up.
+
+    Args:
+        path: The file.
+        scene: A package, levels, or Gaussians.
+        said: Options, of which up axis and length of a unit apply.
+        save: Writes Gaussians to a path, turned by the matrix `upright`; returns bytes.
+        progress: Called with stage "export".
+    """
     levels, _, known = open_levels(scene, None, progress)
     g = levels.level(len(levels) - 1)
     progress("export", 0, 1)
     upright = upright_matrix(np.asarray(_up(said, known, None), np.float64), _meters(said, known))
-    size = save_glb(g, path, upright=upright, compression=said.compression)
+    size = save(g, path, upright=upright)
     progress("export", 1, 1)
-    return GlbReport(_check.path("path", path), len(g), g.sh_degree, size)
+    return FileReport(_check.path("path", path), len(g), g.sh_degree, size)
 
 
 def check_tiles_target(folder: str | PathLike[str], overwrite: bool) -> None:
