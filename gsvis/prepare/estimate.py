@@ -24,6 +24,7 @@ from gsvis.prepare.prepare import stages_of
 from gsvis.prepare.stages import Stages
 from gsvis.prepare.trial import StageTrial
 from gsvis.progress import Progress, silent
+from gsvis.pvs.coded_size import DIRECTIONS_BYTES, bytes_of_directions
 from gsvis.pvs.estimate import estimate_pvs
 from gsvis.pvs.joined import MOST_SHARE, RECORD_BYTES
 from gsvis.pvs.memory import expected_memory
@@ -39,6 +40,7 @@ _clock = time.perf_counter  # tests set another
 
 _CODED = 1 << 15  # Gaussians that are coded for the size of records
 _PACKED_TERM = 0.78  # size of coded terms over their raw size
+_SHARED_DIRECTIONS = 0.25  # bytes a Gaussian of direction sets that neighbors share: 0.1 to 0.3 in six scenes
 _FILES = 10_000  # bytes of a package besides records, terms and sets
 _IMAGES = 5  # of a view that measures what a client gets
 
@@ -133,6 +135,7 @@ class _Estimator:
         """Return the estimate of all stages."""
         self._levels()
         store, disk, memory = self._sets()
+        shipped = self._shipped(store, disk)
         exact = self._colors(store)
         terms = exact.num_terms if exact is not None else self._expect_terms()
         self._cost(exact)
@@ -143,7 +146,7 @@ class _Estimator:
         began = _clock()
         record = bytes_of_record(self.levels, _CODED)
         seconds = (_clock() - began) * self.union / min(_CODED, len(self.levels.union))
-        nbytes = int(self.union * record + term_bytes + self._shipped(disk)) + _FILES
+        nbytes = int(self.union * record + term_bytes + shipped) + _FILES
         what = f"{self.union:,} records, {terms:,} terms"
         self.found.append(StageEstimate("package", "to do", what, seconds, 0))
         return PreparationEstimate(
@@ -203,9 +206,17 @@ class _Estimator:
         self.found.append(StageEstimate("sets", state, what, cost.seconds, disk))
         return None, disk, kept + cost.memory
 
-    def _shipped(self, disk: int) -> float:
-        """Return the most bytes that sets of this size on disk take in the package: see `join_until_small`."""
-        return min(disk, MOST_SHARE * RECORD_BYTES * self.union) if self.config.join_cells else disk
+    def _shipped(self, store: VisibilityStore | None, disk: int) -> float:
+        """Return the bytes of the sets in the package: fewer than on disk, because neighbors share direction sets.
+
+        Args:
+            store: The store, if it exists.
+            disk: Its bytes.
+        """
+        own = DIRECTIONS_BYTES * self.union if store is None else bytes_of_directions(store.direction_sets)
+        shared = disk - own + _SHARED_DIRECTIONS * self.union
+        most = MOST_SHARE * RECORD_BYTES * self.union  # see `join_until_small`
+        return min(shared, most) if self.config.join_cells else shared
 
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:
         """Return the colors if they exist."""

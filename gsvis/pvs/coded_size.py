@@ -7,10 +7,13 @@ from numpy.typing import NDArray
 
 from gsvis.pvs import codec
 
-__all__ = ["BESIDE", "bytes_of_cell", "bytes_of_directions"]
+__all__ = ["BESIDE", "DIRECTIONS_BYTES", "bytes_of_cell", "bytes_of_directions"]
 
 BESIDE = 0.63
 """Bytes of a cell beside others, the labels of the order included, over its bytes alone (docs/design/089)."""
+
+DIRECTIONS_BYTES = 4.5
+"""Bytes of the direction set of a Gaussian in a store: 2 where eyes see it from afar, 6 in rooms."""
 
 
 def bytes_of_cell(ids: NDArray[np.integer], classes: NDArray[np.uint8], count: int, num_classes: int) -> int:

@@ -19,7 +19,7 @@ from gsvis.pvs._tasks import forget_scene
 from gsvis.pvs.build import Work, plan_work
 from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.coded_size import BESIDE, bytes_of_cell
+from gsvis.pvs.coded_size import BESIDE, DIRECTIONS_BYTES, bytes_of_cell
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.memory import SCENE_BYTES, expected_memory, fitting_workers
 from gsvis.scene.gaussians import Gaussians
@@ -42,7 +42,6 @@ _RARE = 1.7
 _MOST_TRIED = 12
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # steps of this share of the cells spread the tried ones evenly, however many they are
 
-_DIRECTIONS = 4.5  # bytes of the direction set of a Gaussian: 2 where eyes see it from afar, 6 in rooms
 _START = 3.0  # seconds until worker processes are ready, for viewpoints and for cells
 _CHECK = 0.3  # seconds of the second tracer, and for each Gaussian
 _CHECK_PER_GAUSSIAN = 3e-5
@@ -140,7 +139,7 @@ def estimate_pvs(
         of_cells=of_cells,
         memory=expected_memory(levels, config, count if processes else 1),
         visible=tried.visible / tried.cells,
-        disk=int(BESIDE * tried.coded / tried.cells * cells + _DIRECTIONS * len(levels.union)),
+        disk=int(BESIDE * tried.coded / tried.cells * cells + DIRECTIONS_BYTES * len(levels.union)),
         working_disk=int(tried.held / tried.looks * viewpoints + tried.kept / tried.cells * cells)
         + (SCENE_BYTES * len(levels.union) if processes else 0),
         load=load,
