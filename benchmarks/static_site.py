@@ -66,6 +66,15 @@ class Eye:
         return float(psnr(self.draw(held, terms), self.reference))
 
 
+def is_drawn(package: Package, eye: Eye, pose: dict[str, Any]) -> bool:
+    """Return whether what the cell of a pose sees draws the scene from there at 40 dB."""
+    contents, grid = package.contents, package.visibility.grid
+    seen = np.zeros(len(contents), bool)
+    seen[package.visibility.visible_ids(grid.nearest(np.array(pose["position"])))] = True
+    top = contents.last == len(contents.names) - 1
+    return eye.quality(seen & top, np.ones(len(contents.term_records), bool)) >= 40.0
+
+
 def first_bytes(eye: Eye, steps: list[dict[str, Any]]) -> dict[float, tuple[int, int]]:
     """Bytes and requests after which each target is met; states are ranked by halving, as quality hardly ever falls."""
     found: dict[float, tuple[int, int]] = {}
@@ -173,16 +182,12 @@ def main() -> None:
         contents = package.contents
         ids = package_ids(package)
         scene, evaluator = StreamedScene.open(package), Evaluator(contents.colors().dequantize())
-        every, rows, rows_seen = np.ones(len(contents.term_records), bool), [], []
+        rows, rows_seen = [], []
         for view, camera, static_steps in zip(views, cameras, traces, strict=True):
             rows_seen.append(view)
             name_arrivals(static_steps, ids, contents)
             eye = Eye(contents, evaluator, camera)
-            seen = np.zeros(len(eye.g), bool)
-            seen[
-                package.visibility.visible_ids(package.visibility.grid.nearest(np.array(view["pose"]["position"])))
-            ] = True
-            if eye.quality(seen & (contents.last == len(contents.names) - 1), every) < 40.0:
+            if not is_drawn(package, eye, view["pose"]):
                 continue
             ours = first_bytes(eye, static_steps)
             theirs = first_bytes(eye, stream(scene, camera, view["pose"]))
