@@ -16,6 +16,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from gsvis._text import as_line
+from gsvis.cli.fetched import fetched
 from gsvis.cli.help import overview
 from gsvis.cli.streams import safe_streams
 
@@ -147,8 +148,8 @@ def _run(command: Command) -> None:
 
     name = command_name(type(command)).replace("-", "_")
     home = import_module(f"gsvis.cli.{_HOMES.get(name, name)}")
-    with _losses_on_stderr(), _dropping(command):
-        getattr(home, f"run_{name}")(command)
+    with _losses_on_stderr(), _dropping(command), fetched(command) as ready:
+        getattr(home, f"run_{name}")(ready)
 
 
 def _losses_on_stderr() -> AbstractContextManager[None]:

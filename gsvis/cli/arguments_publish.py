@@ -223,7 +223,8 @@ class Export:
     scene: Scene
     """A package, or a scene as it is: a file or folder that gsvis reads, or builtin:NAME."""
     out: Annotated[str, out("OUT")]
-    """Folder of the site, the streamed SOG or the tileset, or the .html, .glb or .usdz file."""
+    """Folder of the site, the streamed SOG or the tileset; or the .html, .glb or .usdz file, or a .ssog or .zip of the
+    streamed SOG."""
     format: Annotated[Literal["static", "html", "streamed-sog", "3dtiles", "glb", "usd"], readers.PLAIN] = "static"
     """static: a site that any file server or CDN serves; html: one file that opens from disk; streamed-sog: leaves for
     PlayCanvas' engine, and which of them each cell needs; 3dtiles: a tileset for CesiumJS; glb: one file of glTF; usd:

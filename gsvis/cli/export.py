@@ -18,7 +18,9 @@ from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, parse_up
 from gsvis.files.origins import parse_origins
 from gsvis.files.output import check_file, check_folder
+from gsvis.files.temporary import temporary_folder
 from gsvis.io.sources import check_source, is_builtin, title_of
+from gsvis.io.streamed_zip import ZIP_SUFFIXES, pack_streamed
 from gsvis.package.shown import is_package
 from gsvis.scene.axes import describe_direction
 from gsvis.scene.source import Source
@@ -134,7 +136,7 @@ def _check_target(command: Export) -> None:
     from gsvis.export.static import check_target
 
     out = Path(command.out)
-    if command.format == "streamed-sog":
+    if command.format == "streamed-sog" and not _is_zipped(command):
         from gsvis.io.streamed_sog_writer import check_streamed_target
 
         check_streamed_target(out, command.overwrite)
@@ -151,7 +153,7 @@ def _check_target(command: Export) -> None:
         check_site(out, command.overwrite)
         check_target(out / "scene")
         return
-    if out.suffix.lower() not in _SUFFIXES[command.format]:
+    if not _is_zipped(command) and out.suffix.lower() not in _SUFFIXES[command.format]:
         known = ", ".join(_SUFFIXES[command.format])
         raise ValueError(f"--out: expected a file that ends in {known}, got {command.out}; name one")
     if command.format == "usd":
@@ -190,6 +192,11 @@ def _open_scene(
     return source.whole, name, _triple(source.steady_up if up is None else up), source
 
 
+def _is_zipped(command: Export) -> bool:
+    """Return whether a streamed SOG is to be written as one zip."""
+    return command.format == "streamed-sog" and Path(command.out).suffix.lower() in ZIP_SUFFIXES
+
+
 def _triple(vector: NDArray[np.float64] | None) -> Triple | None:
     """Return a vector as three numbers; None without one."""
     if vector is None:
@@ -207,7 +214,12 @@ def _export_leaves(command: Export) -> None:
         scene, name, up, _ = _open_scene(command, stack, status)
         if store is not None and command.where.up is None:
             up = None  # the visible sets know it
-        found = _write(command, scene, store, name, up, status)
+        if _is_zipped(command):
+            folder = stack.enter_context(temporary_folder())
+            inner = _write(replace(command, out=str(folder / "scene")), scene, store, name, up, status)
+            found = replace(inner, nbytes=pack_streamed(inner.path, command.out))
+        else:
+            found = _write(command, scene, store, name, up, status)
     if command.output.json:
         about = {"format": "gsvis-export", "version": 1, "in": command.scene, "out": command.out}
         listed = {key: value for key, value in asdict(found).items() if key not in ("path", "nbytes")}
@@ -221,7 +233,10 @@ def _export_leaves(command: Export) -> None:
     else:
         show(facts(f"{command.out}: {found.leaves:,} leaves, {size_of(found.nbytes)}", _streamed_rows(found)))
         show(*_turned(found.up))
-        show(f"Show it: examples/engines, or any viewer that opens {command.out}/lod-meta.json")
+        if _is_zipped(command):
+            show("Upload it to SuperSplat, or unzip it for a viewer that opens its lod-meta.json.")
+        else:
+            show(f"Show it: examples/engines, or any viewer that opens {command.out}/lod-meta.json")
 
 
 def _write(command: Export, scene: Any, store: Any, name: str, up: Triple | None, status: Status) -> Any:

@@ -38,6 +38,7 @@ STDOUT = "standard output"
 """Path of standard output in an OutputError."""
 
 _SAID = {
+    "fetching": "fetching the scene",
     "reading": "reading the scene",
     "space": "finding navigable space",
     "kernels": "preparing kernels",

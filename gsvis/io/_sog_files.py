@@ -87,17 +87,19 @@ class FolderStore:
 
 
 class ZipStore:
-    """Files in a zip, beside its `meta.json`.
+    """Files in a zip, beside its JSON.
 
     Args:
         path: The zip.
+        index: Name of the JSON: `meta.json`, or `lod-meta.json` of a streamed SOG.
 
     Raises:
-        FormatError: If it is not a zip, has unsafe names, or has no `meta.json`.
+        FormatError: If it is not a zip, has unsafe names, or has no such JSON.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], index: str = "meta.json") -> None:
         self.path = os.fspath(path)
+        self._index = index
         self._file = open_regular(path)
         try:
             self.size = os.fstat(self._file.fileno()).st_size
@@ -115,15 +117,20 @@ class ZipStore:
             raise FormatError(self.path, "", "a zip archive", str(error), "is it truncated?") from error
 
     def _safe_entries(self) -> dict[str, zipfile.ZipInfo]:
-        """Return the entries of the folder of `meta.json` by name; raise if a name is unsafe."""
+        """Return the entries of the folder of the JSON by name; raise if a name is unsafe."""
         entries = {}
         for info in self._zip.infolist():
             entries[safe_name(self.path, "zip entry", info.orig_filename)] = info
-        metas = sorted((n for n in entries if PurePosixPath(n).name == "meta.json"), key=lambda n: (n.count("/"), n))
+        metas = sorted((n for n in entries if PurePosixPath(n).name == self._index), key=lambda n: (n.count("/"), n))
         if not metas:
-            raise FormatError(self.path, "", "a meta.json in the zip", "none", "this is not a SOG scene")
-        prefix = metas[0][: -len("meta.json")]
+            raise FormatError(self.path, "", f"a {self._index} in the zip", "none", "this is not a SOG scene")
+        prefix = metas[0][: -len(self._index)]
         return {name[len(prefix) :]: info for name, info in entries.items() if name.startswith(prefix)}
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the files beside the JSON and below."""
+        return [name for name, info in self._entries.items() if not info.is_dir()]
 
     def __enter__(self) -> ZipStore:
         return self

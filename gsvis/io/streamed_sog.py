@@ -21,7 +21,7 @@ from gsvis.io._sog_files import FolderStore, ZipStore
 from gsvis.io.sog import SogMeta, read_sog
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["list_lods", "load_streamed_file", "load_streamed_sog", "streamed_files"]
+__all__ = ["files_of_level", "list_lods", "load_streamed_file", "load_streamed_sog", "streamed_files"]
 
 Runs = dict[int, list[tuple[int, int]]]
 _MAX_COUNT = 1 << 40
@@ -65,6 +65,25 @@ def load_streamed_sog(path: str | os.PathLike[str], lod: int | None = None) -> G
     if environment:
         parts.append(_scene(tree, environment))
     return parts[0] if len(parts) == 1 else Gaussians.concatenate(parts)
+
+
+def files_of_level(path: str | os.PathLike[str], lod: int | None = None) -> list[str]:
+    """Return the names of the files that a level of detail needs, relative to `lod-meta.json`; they may be absent.
+
+    Args:
+        path: That file, or its folder.
+        lod: The level; None means the finest.
+
+    Raises:
+        FormatError: If the file is damaged or names no such level.
+    """
+    tree = _Tree(path)
+    level = min(tree.runs, default=0) if lod is None else lod
+    if level not in tree.runs:
+        named = ", ".join(map(str, sorted(tree.runs))) or "none"
+        raise FormatError(tree.path, "", f"a LOD {level}", f"LODs named in the file: {named}")
+    names = [tree.files[file] for file in sorted(tree.runs[level])]
+    return [*names, *([tree.environment] if tree.environment else [])]
 
 
 def streamed_files(path: str | os.PathLike[str], lod: int | None = None) -> tuple[int, list[tuple[int, int, Path]]]:
