@@ -8,9 +8,10 @@ import subprocess
 import sys
 import threading
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
@@ -25,12 +26,15 @@ from gsvis.files.temporary import temporary_folder
 from gsvis.package.manifest import MANIFEST
 
 if TYPE_CHECKING:
+    from gsvis.scene.gaussians import Gaussians
+    from gsvis.scene.navigable import NavigableSpace
     from gsvis.scene.paths import HeadPath
     from gsvis.serve import Server
     from gsvis.serve.scenes import Scenes
 
 __all__ = ["run_view"]
 
+Later = Callable[[], None]
 _PORT = 8765
 _CACHE = 512_000_000
 
@@ -42,7 +46,7 @@ def run_view(command: View) -> None:
 
     with ExitStack() as stack:
         stack.enter_context(log_to_stderr(TextLines(), logging.DEBUG if command.output.debug else logging.WARNING))
-        command, folder, name, remarks = _folder_of(command, stack)
+        command, folder, name, remarks, later = _folder_of(command, stack)
         scene = open_scene(folder, name, max_cache_bytes=_CACHE)
         scenes = stack.enter_context(Scenes([scene]))
         name = scene.name
@@ -57,6 +61,8 @@ def run_view(command: View) -> None:
             for each in remarks:
                 say(each.strip())
             say(f"{page} shows {command.scene}; Ctrl-C ends it")
+        if later is not None:
+            threading.Thread(target=later, daemon=True).start()
         if not command.no_browser:
             # The server listens already; it answers as soon as it runs.
             threading.Thread(target=webbrowser.open, args=(_address(server, page),), daemon=True).start()
@@ -64,11 +70,11 @@ def run_view(command: View) -> None:
             server.run()
 
 
-def _folder_of(command: View, stack: ExitStack) -> tuple[View, Path, str, list[str]]:
-    """Return the command with answers of the user, the folder to serve, the name in addresses, and remarks.
+def _folder_of(command: View, stack: ExitStack) -> tuple[View, Path, str, list[str], Later | None]:
+    """Return the command with answers of the user, the folder to serve, the name in addresses, remarks, what is left.
 
     A package, a world and a static scene are served from their folder, which gives the name ("" here); any other scene
-    from a temporary one.
+    from a temporary one. What is left to do, if anything, is done while the scene is shown.
     """
     from gsvis.serve.sites import is_site
     from gsvis.world.world import is_world
@@ -80,9 +86,10 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[View, Path, str, list[s
             raise ValueError(
                 f"{option}: expected none for a package, a world or a static scene, got {got}; leave it out"
             )
-        return command, path, "", []
+        return command, path, "", [], None
     from gsvis.cli.asking import settle_visit
     from gsvis.cli.source import open_source
+    from gsvis.export.later_walk import promise_walk
     from gsvis.export.static import StaticOptions, write_static
     from gsvis.io.sources import title_of
 
@@ -93,9 +100,21 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[View, Path, str, list[s
         where, visit = settle_visit(command.where, source, walk, status, quiet=command.output.json)
         command = replace(command, where=where)
         x, y, z = visit.up.tolist()
-        shown = StaticOptions(title_of(command.scene, source.lod), (x, y, z), poses=visit.starts, space=visit.space)
+        shown = StaticOptions(title_of(command.scene, source.lod), (x, y, z), poses=visit.starts)
         write_static(folder, source.whole, shown, progress=status)
-    return command, folder, title_of(command.scene), visit.remarks
+        later = None
+        if visit.space is not None:
+            promise_walk(folder)
+            later = partial(_write_walk, folder, source.gaussians, visit.space)
+    return command, folder, title_of(command.scene), visit.remarks, later
+
+
+def _write_walk(folder: Path, g: Gaussians, space: NavigableSpace) -> None:
+    """Write where one can walk in the scene that is shown; nothing once the folder is gone with the command."""
+    from gsvis.export.later_walk import write_walk
+
+    with suppress(GsvisError, OSError):
+        write_walk(folder, g, space)
 
 
 def _check_scene(command: View) -> HeadPath | None:

@@ -28,6 +28,9 @@ _MOST_JSON = 64 << 20
 _MOST_FILES = 1 << 20  # of one kind
 _PIECE = 256 << 10  # bytes read and sent at a time
 _HASHED = re.compile(r"-[0-9a-f]{16}(?:-\d+)?\.bin$")  # such a file never changes
+_LATE = re.compile(r"walk-[0-9a-f]{16}\.bin")  # gsvis.export.later_walk writes it while the scene is shown
+_LOOK = 0.1  # seconds between two looks for such a file
+_PATIENCE = 60.0  # seconds for which an answer waits for it
 _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
 
 
@@ -81,7 +84,7 @@ class Site:
             OSError: If the file cannot be read.
         """
         path = self.folder / name
-        if name not in self.names or not path.exists() or path.is_dir():
+        if name not in self.names or not await _comes(path) or path.is_dir():
             return PlainTextResponse("no such file\n", 404)
         if path.is_symlink():
             raise FormatError(path, "", "a file of the scene", "a link", "links are not followed")
@@ -106,6 +109,16 @@ class Site:
             source.close()
             return part if isinstance(part, Response) else Response(b"", status, headers, kind)
         return StreamingResponse(_pieces(source, *part), status, headers, kind)
+
+
+async def _comes(path: Path) -> bool:
+    """Return whether a file is there; one of walking is waited for, which is written after the others."""
+    waits = int(_PATIENCE / _LOOK) if _LATE.fullmatch(path.name) else 0
+    for _ in range(waits):
+        if path.exists():
+            return True
+        await asyncio.sleep(_LOOK)
+    return path.exists()
 
 
 async def _pieces(source: BinaryIO, start: int, stop: int) -> AsyncIterator[bytes]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -102,3 +103,17 @@ def test_what_is_no_static_scene_is_refused(site: Path, text: str) -> None:
         Site(site)
     with pytest.raises(FormatError):
         open_scenes([site])
+
+
+def test_a_file_of_walking_that_comes_later_is_waited_for(site: Path) -> None:
+    about = json.loads((site / "scene.json").read_text())
+    about["files"]["walk"] = {"name": "walk-0123456789abcdef.bin", "bytes": 0, "count": 1}
+    (site / "scene.json").write_text(json.dumps(about))
+    with serving(site) as server, ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(ask, server, "/scenes/room/walk-0123456789abcdef.bin")
+        assert ask(server, "/scenes/room/absent.bin")[0] == 404  # others are answered meanwhile
+        assert not asked.done()
+        (site / "part").write_bytes(b"walk")
+        (site / "part").rename(site / "walk-0123456789abcdef.bin")
+        status, _, body = asked.result()
+        assert (status, body) == (200, b"walk")
