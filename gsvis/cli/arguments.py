@@ -66,6 +66,8 @@ class Inspect:
     lod: Lod = None
     histograms: Flag = False
     """Show how opacities, sizes, shapes, distances and SH are spread, too."""
+    overdraw: Annotated[Count, hint("not measured")] = None
+    """Cells of a package, or eyes in a scene, at which to count the splats over a pixel and in a view, such as 12."""
     where: Where = Where()
     output: Reading = Reading()
 

@@ -216,6 +216,28 @@ class Presented:
     """Other origins that a site may open scenes of, by ?content=, such as https://cdn.example.org; for static."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Tiled:
+    """How 3D Tiles and glTF hold Gaussians."""
+
+    compression: Annotated[Literal["auto", "none", "spz"], readers.PLAIN] = "auto"
+    """How 3dtiles and glb hold Gaussians. none: every value as it is; spz: a fifth of the size, and what CesiumJS
+    reads; auto: spz for 3dtiles, none for glb. (default: auto)"""
+    request_volumes: Flag = False
+    """Have viewers of 3dtiles request a tile only in the box of the cells that need it. From outside of all cells
+    little is drawn then. Needs visible sets."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lightened:
+    """What a view of the written version may have at most."""
+
+    budget_splats: Annotated[Count, hint("no limit")] = None
+    """Write a lighter version: most Gaussians that a view of 90 degrees has, from every eye of the space."""
+    budget_fill: Annotated[float | None, readers.FILL, hint("no limit")] = None
+    """Write a lighter version: most Gaussians over a pixel, in the mean of a view of 90 degrees."""
+
+
 @dataclass(frozen=True)
 class Export:
     """Write a scene for players that need no gsvis: sites, streamed SOG, 3D Tiles."""
@@ -235,14 +257,10 @@ class Export:
     """What streamed-sog and 3dtiles do with Gaussians that no cell sees; from outside, holes show. (default: keep)"""
     leaf: Annotated[int | None, readers.LEAF, hint("8192")] = None
     """Most Gaussians of a leaf of streamed-sog or 3dtiles; leaves have half of it at least."""
-    compression: Annotated[Literal["auto", "none", "spz"], readers.PLAIN] = "auto"
-    """How 3dtiles and glb hold Gaussians. none: every value as it is; spz: a fifth of the size, and what CesiumJS
-    reads; auto: spz for 3dtiles, none for glb. (default: auto)"""
-    request_volumes: Flag = False
-    """Have viewers of 3dtiles request a tile only in the box of the cells that need it. From outside of all cells
-    little is drawn then. Needs visible sets."""
+    tiled: Tiled = Tiled()
     meters_per_unit: Annotated[Units, hint("the package's, or 1")] = None
     """Length of a scene unit in meters, for 3dtiles, glb and usd."""
+    budget: Lightened = Lightened()
     name: Annotated[str | None, hint("that of SCENE", "NAME")] = None
     """Name of the scene in the page."""
     page: Presented = Presented()

@@ -12,6 +12,7 @@ from gsvis.cli.arguments import Export
 from gsvis.cli.arguments_publish import Presented
 from gsvis.cli.asking import settle_visit
 from gsvis.cli.options import PLACING, changed
+from gsvis.cli.overdraw import Lighter, lighten
 from gsvis.cli.source import open_source
 from gsvis.cli.targets import check_exists, check_new
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
@@ -51,14 +52,14 @@ def run_export(command: Export) -> None:
     _check_target(command)
     _check_apart(command)
     if command.format in ("streamed-sog", "3dtiles", "glb", "usd"):
-        _export_leaves(command)
+        _export_leaves(command, walk)
         return
     from gsvis.export import PageOptions, StaticOptions, check_page, write_html, write_site
 
     page = PageOptions(**{name: value for name, value in vars(command.page).items() if name != "page_origins"})
     check_page(page)
     with ExitStack() as stack, Status() as status:
-        scene, name, up, source = _open_scene(command, stack, status)
+        scene, name, up, source, lighter = _open_scene(command, walk, stack, status)
         visit = None
         if source is not None:
             _, visit = settle_visit(command.where, source, walk, status, quiet=command.output.json)
@@ -71,7 +72,7 @@ def run_export(command: Export) -> None:
         else:
             found = write_html(command.out, scene, options, page=page, progress=status)
     made = found.scene
-    remarks = [] if visit is None else visit.remarks
+    remarks = [*lighter.remarks, *([] if visit is None else visit.remarks)]
     if command.output.json:
         facts: dict[str, Any] = {
             "format": "gsvis-export",
@@ -85,6 +86,7 @@ def run_export(command: Export) -> None:
             "cells": made.cells,
             "sh_degree": made.sh_degree,
             "files": {kind: file.nbytes for kind, file in made.files.items()},
+            "budget": lighter.figures,
             "remarks": [each.strip() for each in remarks],
         }
         print_json(facts)
@@ -101,15 +103,18 @@ def _check_options(command: Export) -> HeadPath | None:
     leaves = ("streamed-sog", "3dtiles")
     gltf = ("3dtiles", "glb")
     pages = ("static", "html", "streamed-sog")
+    budget = command.budget.budget_splats is not None or command.budget.budget_fill is not None
+    placed = (command.format,) if budget else ("static", "html")
     given = {
         "--pvs": (command.pvs, leaves),
         "--leaf": (command.leaf, leaves),
         "--never-seen": (command.never_seen != "keep" or None, leaves),
-        "--compression": (None if command.compression == "auto" else command.compression, gltf),
+        "--compression": (None if command.tiled.compression == "auto" else command.tiled.compression, gltf),
         "--meters-per-unit": (command.meters_per_unit, (*gltf, "usd")),
-        "--request-volumes": (command.request_volumes or None, ("3dtiles",)),
+        "--request-volumes": (command.tiled.request_volumes or None, ("3dtiles",)),
         "--name": (command.name, pages),
-        **{option: (words, ("static", "html")) for option, words in changed(command, (*_PLACING, *_PRESENTED)).items()},
+        **{option: (words, ("static", "html")) for option, words in changed(command, _PRESENTED).items()},
+        **{option: (words, placed) for option, words in changed(command, _PLACING).items()},
         "--page-origins": (command.page.page_origins or None, ("static",)),
     }
     for option, (value, formats) in given.items():
@@ -117,11 +122,22 @@ def _check_options(command: Export) -> HeadPath | None:
             known = " or ".join(formats)
             raise ValueError(f"{option}: expected --format {known} with it, got {command.format}; leave it out")
     walk = check_where(command.where)
+    if budget:
+        _check_budget(command)
     sets = command.pvs is not None or is_package(command.scene)
-    if command.request_volumes and not sets:
+    if command.tiled.request_volumes and not sets:
         raise ValueError("--request-volumes: expected a package or --pvs FILE with it, got neither; see gsvis pvs")
     check_exists(command.pvs)
     return walk
+
+
+def _check_budget(command: Export) -> None:
+    """Raise if the visible sets of the scene would not fit the lighter version."""
+    option = "--budget-fill" if command.budget.budget_splats is None else "--budget-splats"
+    if is_package(command.scene):
+        raise ValueError(f"{option}: expected a scene, got a package; name the scene that it was made from")
+    if command.pvs is not None:
+        raise ValueError(f"{option}: expected no --pvs with it, got {command.pvs}; find sets of the result instead")
 
 
 def _detail(terms: int, cells: int) -> str:
@@ -175,9 +191,9 @@ def _check_apart(command: Export) -> None:
 
 
 def _open_scene(
-    command: Export, stack: ExitStack, status: Status
-) -> tuple[Package | Levels | Gaussians, str, Triple | None, Source | None]:
-    """Return the package or scene of a command, its name, its up axis if that is known, and how a scene was read."""
+    command: Export, walk: HeadPath | None, stack: ExitStack, status: Status
+) -> tuple[Package | Levels | Gaussians, str, Triple | None, Source | None, Lighter]:
+    """Return the package or scene of a command, its name, its up axis if known, how it was read, and its budget."""
     up = parse_up(command.where.up)
     if is_package(command.scene):
         from gsvis.package import Package
@@ -185,11 +201,13 @@ def _open_scene(
         for option, words in changed(command, ("lod", *_PLACING)).items():
             raise ValueError(f"{option}: expected none for a package, got {' '.join(words) or option}; leave it out")
         name = as_line(command.name or Path(command.scene).resolve().name.removesuffix(".gsvis"))
-        return stack.enter_context(Package.open(command.scene)), name, _triple(up), None
+        return stack.enter_context(Package.open(command.scene)), name, _triple(up), None, Lighter()
     check_source(command.scene, command.lod)
     source = open_source(command.scene, command.lod, status)
     name = as_line(command.name or title_of(command.scene, source.lod))
-    return source.whole, name, _triple(source.steady_up if up is None else up), source
+    lighter = lighten(command, source, walk, status)
+    source = lighter.source or source
+    return source.whole, name, _triple(source.steady_up if up is None else up), source, lighter
 
 
 def _is_zipped(command: Export) -> bool:
@@ -205,13 +223,13 @@ def _triple(vector: NDArray[np.float64] | None) -> Triple | None:
     return x, y, z
 
 
-def _export_leaves(command: Export) -> None:
+def _export_leaves(command: Export, walk: HeadPath | None) -> None:
     """Write a scene as streamed SOG, 3D Tiles or one GLB, and print what it takes; the target has been checked."""
     from gsvis.pvs.store import VisibilityStore
 
     with ExitStack() as stack, Status() as status:
         store = None if command.pvs is None else stack.enter_context(VisibilityStore.open(command.pvs))
-        scene, name, up, _ = _open_scene(command, stack, status)
+        scene, name, up, _, lighter = _open_scene(command, walk, stack, status)
         if store is not None and command.where.up is None:
             up = None  # the visible sets know it
         if _is_zipped(command):
@@ -223,8 +241,10 @@ def _export_leaves(command: Export) -> None:
     if command.output.json:
         about = {"format": "gsvis-export", "version": 1, "in": command.scene, "out": command.out}
         listed = {key: value for key, value in asdict(found).items() if key not in ("path", "nbytes")}
-        print_json({**about, "kind": command.format, "bytes": found.nbytes, **listed})
-    elif command.format in ("glb", "usd"):
+        print_json({**about, "kind": command.format, "bytes": found.nbytes, **listed, "budget": lighter.figures})
+        return
+    show(*lighter.remarks)
+    if command.format in ("glb", "usd"):
         degree = f"SH degree {found.sh_degree}"
         show(f"{command.out}: {found.gaussians:,} Gaussians, {degree}, {size_of(found.nbytes)}")
     elif command.format == "3dtiles":
@@ -253,8 +273,8 @@ def _write(command: Export, scene: Any, store: Any, name: str, up: Triple | None
     options = TilesOptions(
         leaf=leaf,
         never_seen=command.never_seen,
-        compression=("none" if single else "spz") if command.compression == "auto" else command.compression,
-        request_volumes=command.request_volumes,
+        compression=("none" if single else "spz") if command.tiled.compression == "auto" else command.tiled.compression,
+        request_volumes=command.tiled.request_volumes,
         up=up,
         meters_per_unit=command.meters_per_unit,
     )

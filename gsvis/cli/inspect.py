@@ -7,6 +7,7 @@ from typing import Any
 
 from gsvis.cli.arguments import Inspect
 from gsvis.cli.histograms import TITLES, band_lines, can_draw_blocks, histogram_lines, line_width
+from gsvis.cli.overdraw import measure_overdraw, overdraw_rows
 from gsvis.cli.source import inspect_scene_of, open_source
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, find_place, flyaway_remarks, space_document, suspect_views
@@ -16,6 +17,7 @@ from gsvis.package.shown import judged_of, load_shown
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.histograms import Band, Histogram, measure_bands, measure_histograms
 from gsvis.scene.lengths import spell_point
+from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.source import Source
 
@@ -30,11 +32,14 @@ def run_inspect(command: Inspect) -> None:
         report = inspect_scene_of(source)
         report["facts"] = facts_to_json(source.gaussians.facts)
         with status.stage("space"):
-            report["space"], remarks = _space(command, source, walk)
+            space, remarks = _space(command, source, walk)
+        report["space"] = None if space is None else space_document(space)
         report["problems"] += [remark.strip() for remark in remarks]
         report["judged"] = judged_of(command.scene)
         if report["judged"] is not None and report["judged"].get("warning"):
             report["problems"].append(str(report["judged"]["warning"]))
+        if command.overdraw:
+            report["overdraw"] = measure_overdraw(command, source, space, status)
         spread = measure_histograms(source.gaussians) if command.histograms else {}
         bands = measure_bands(source.gaussians) if command.histograms else []
     if command.output.json:
@@ -58,8 +63,8 @@ def _draw(spread: dict[str, Histogram], bands: list[Band]) -> list[str]:
     return [*lines, *band_lines(bands, width=width, blocks=blocks), ""] if bands else lines
 
 
-def _space(command: Inspect, source: Source, walk: HeadPath | None) -> tuple[dict[str, Any] | None, list[str]]:
-    """Return where eyes may be, for JSON, None if nowhere; and what is implausible about it."""
+def _space(command: Inspect, source: Source, walk: HeadPath | None) -> tuple[NavigableSpace | None, list[str]]:
+    """Return where eyes may be, None if nowhere; and what is implausible about it."""
     if len(source.gaussians) == 0:
         return None, []
     place = find_place(source, command.where, walk)
@@ -67,7 +72,7 @@ def _space(command: Inspect, source: Source, walk: HeadPath | None) -> tuple[dic
     said = [remark for remark in place.remarks if remark not in counted]
     if place.space is None:
         return None, [*said, f"{place.why_not}; say where eyes may be with --box or --around"]
-    return space_document(place.space), [*said, *suspect_views(source.gaussians, place.space)]
+    return place.space, [*said, *suspect_views(source.gaussians, place.space)]
 
 
 def _rows(source: Source, report: dict[str, Any]) -> list[tuple[str, str]]:
@@ -97,6 +102,8 @@ def _rows(source: Source, report: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(("sets, by other eyes", report["judged"]["line"]))
     if report["space"] is not None:
         rows.append(("taken for", report["space"]["kind"]["text"]))
+    if report.get("overdraw"):
+        rows += overdraw_rows(report["overdraw"])
     return rows
 
 

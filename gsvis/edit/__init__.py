@@ -1,5 +1,6 @@
 """Edit scenes by visibility: clean, cut and paint them, and convert their navigable space to meshes."""
 
+from gsvis.edit.budget import Budget, Budgeted, fit_budget
 from gsvis.edit.classes import CLASSES, HIDDEN, KEPT, CleanConfig, class_of, classify
 from gsvis.edit.cleaning import Cleaning, clean, core_of, held_out_cameras
 from gsvis.edit.cut import Cut, CutConfig, HeldOut, cut
@@ -19,6 +20,8 @@ __all__ = [
     "KEPT",
     "QUANTITIES",
     "Band",
+    "Budget",
+    "Budgeted",
     "CleanConfig",
     "Cleaning",
     "Cost",
@@ -44,6 +47,7 @@ __all__ = [
     "cut",
     "draw_legend",
     "find_in_parcels",
+    "fit_budget",
     "gather_evidence",
     "guard",
     "held_out_cameras",

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
+from gsvis.render.fill import Fill, fill_around, measure_fill
 from gsvis.render.metrics import flip, lpips, psnr, ssim
 from gsvis.render.rasterizer import Rendering, rasterize
 from gsvis.render.removal import RemovalEffects, removal_effects
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from gsvis.render.tensors import GaussianTensors
 
 __all__ = [
+    "Fill",
     "GaussianTensors",
     "PixelContributors",
     "RemovalEffects",
@@ -19,8 +21,10 @@ __all__ = [
     "RenderingTensors",
     "ViewWeights",
     "contributors",
+    "fill_around",
     "flip",
     "lpips",
+    "measure_fill",
     "psnr",
     "rasterize",
     "removal_effects",

@@ -88,6 +88,17 @@ def test_inspect_json_is_one_document(ply: Path, capsys: Capture) -> None:
     assert document["count"] == len(load_scene(ply))
 
 
+def test_inspect_counts_splats_over_pixels(ply: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gsvis.render.fill.SIDE", 16)
+    assert main(["inspect", str(ply), "--overdraw", "2"]) == 0
+    assert "splats over a pixel" in capsys.readouterr().out
+    assert main(["inspect", str(ply), "--overdraw", "2", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["overdraw"]
+    assert (found["drawn"], len(found["places"])) == ("everything", 2)
+    assert found["heaviest"]["mean"] == max(each["mean"] for each in found["places"])
+    assert all(each["until"] <= each["mean"] <= each["worst"] <= each["splats"] for each in found["places"])
+
+
 @pytest.mark.parametrize(
     "name", sorted(OCCLUDER_SCENES)
 )  # the flat takes seconds; tests/scene/test_flat.py has a small one

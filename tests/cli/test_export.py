@@ -94,3 +94,34 @@ def test_a_folder_of_something_else_stays(ply: Path, tmp_path: Path, capsys: pyt
     assert "something else" in capsys.readouterr().err
     assert (tmp_path / "site" / "index.html").read_text() == "mine"
     assert main(["export", str(ply), "-o", str(tmp_path / "site"), "--overwrite"]) == 0
+
+
+def test_a_budget_makes_a_lighter_scene_and_says_what_it_costs(
+    ply: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gsvis.edit.budget.SIDE", 32)
+    words = [
+        "export",
+        str(ply),
+        "-o",
+        str(tmp_path / "s.glb"),
+        "--format",
+        "glb",
+        "--box",
+        "0",
+        "0",
+        "0",
+        "1",
+        "1",
+        "1",
+    ]
+    assert main([*words, "--budget-splats", "40"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "of 80 Gaussians; at 12 other eyes a view has at most" in said
+    assert "dB in the mean of other views" in said
+    assert main([*words, "--budget-fill", "1e6", "--overwrite", "--json"]) == 0
+    budget = json.loads(capsys.readouterr().out)["budget"]
+    assert (budget["held"], budget["mean_db"]) == (True, 100.0)  # it held before
+    write_package(tmp_path / "s.gsvis", levels_of(120), colors_of(120)[1])
+    assert main(["export", str(tmp_path / "s.gsvis"), "-o", str(tmp_path / "site"), "--budget-fill", "5"]) == 2
+    assert "--budget-fill: expected a scene, got a package" in capsys.readouterr().err

@@ -85,9 +85,7 @@ def test_a_scene_is_shown_as_it_is_and_leaves_nothing(tmp_path: Path) -> None:
             alone = file["name"].endswith(".bin")
             names = [file["name"]] if alone else [f"{file['name']}-{k}.bin" for k in range(file["count"])]
             nbytes = sum(len(fetched(f"{root}scenes/two_rooms/{name}")) for name in names)
-            assert (
-                nbytes > 0 if kind == "walk" else nbytes == file["bytes"]
-            )  # walking is found meanwhile
+            assert nbytes > 0 if kind == "walk" else nbytes == file["bytes"]  # walking is found meanwhile
         running.send_signal(signal.SIGINT)
         running.communicate(timeout=PATIENCE)
     assert running.returncode == 0
