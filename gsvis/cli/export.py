@@ -19,6 +19,7 @@ from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, parse_up
 from gsvis.files.origins import parse_origins
 from gsvis.files.output import check_file, check_folder
+from gsvis.files.shown import shown_as
 from gsvis.files.temporary import temporary_folder
 from gsvis.io.sources import check_source, is_builtin, title_of
 from gsvis.io.streamed_zip import ZIP_SUFFIXES, pack_streamed
@@ -233,8 +234,9 @@ def _export_leaves(command: Export, walk: HeadPath | None) -> None:
         if store is not None and command.where.up is None:
             up = None  # the visible sets know it
         if _is_zipped(command):
-            folder = stack.enter_context(temporary_folder())
-            inner = _write(replace(command, out=str(folder / "scene")), scene, store, name, up, status)
+            folder = stack.enter_context(temporary_folder()) / "scene"
+            stack.enter_context(shown_as(folder, command.out))
+            inner = _write(replace(command, out=str(folder)), scene, store, name, up, status)
             found = replace(inner, nbytes=pack_streamed(inner.path, command.out))
         else:
             found = _write(command, scene, store, name, up, status)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,6 +32,7 @@ def fetched(command: Command) -> Iterator[Command]:
         yield command
         return
     from gsvis.cli.terminal import Status
+    from gsvis.files.shown import shown_as
     from gsvis.files.temporary import temporary_folder
 
     name = command_name(type(command))
@@ -40,10 +41,13 @@ def fetched(command: Command) -> Iterator[Command]:
         what = "address" if "://" in got else "zip"
         remedy = "fetch it with gsvis convert ADDRESS FILE" if what == "address" else "unzip it, name its lod-meta.json"
         raise ValueError(f"SCENE: expected a scene on this disk as it is, got the {what} {got}; {remedy}")
-    with temporary_folder() as folder:
+    with ExitStack() as stack:
+        folder = stack.enter_context(temporary_folder())
         lod = _lod_of(command)
         with Status() as status:
             local = tuple(_local(scene, folder / str(k), lod, status) for k, scene in enumerate(scenes))
+        for here, scene in zip(local, scenes, strict=True):
+            stack.enter_context(shown_as(here, scene))
         if name == "convert":
             paths = command.paths  # type: ignore[union-attr]
             yield replaced(command, {("paths",): local + paths[len(local) :]})

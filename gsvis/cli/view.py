@@ -22,6 +22,7 @@ from gsvis.cli.serve import log_to_stderr
 from gsvis.cli.terminal import Status, print_json, say
 from gsvis.cli.where import check_where
 from gsvis.errors import GsvisError
+from gsvis.files.shown import shown_name
 from gsvis.files.temporary import temporary_folder
 from gsvis.package.manifest import MANIFEST
 
@@ -60,7 +61,7 @@ def run_view(command: View) -> None:
         else:
             for each in remarks:
                 say(each.strip())
-            say(f"{page} shows {command.scene}; Ctrl-C ends it")
+            say(f"{page} shows {shown_name(command.scene)}; Ctrl-C ends it")
         if later is not None:
             threading.Thread(target=later, daemon=True).start()
         if not command.no_browser:

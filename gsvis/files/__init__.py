@@ -17,6 +17,7 @@ _MODULES = (
     "places",
     "sections",
     "shelf",
+    "shown",
     "sums",
     "swap",
     "temporary",

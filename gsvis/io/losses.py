@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.files.shown import shown_name
+
 __all__ = ["LOGGER", "Loss", "report_clipped", "report_loss", "report_note", "watch_losses"]
 
 LOGGER = "gsvis.io"
@@ -50,7 +52,7 @@ def report_loss(path: str | os.PathLike[str], what: str, text: str, count: int =
         text: What happened to it.
         count: Number of Gaussians affected.
     """
-    loss = Loss(os.fspath(path), what, text, count)
+    loss = Loss(shown_name(path), what, text, count)
     if not loss.path:
         return
     _logger.warning("%s: %s", loss.path, text, extra={"loss": loss})
@@ -58,7 +60,7 @@ def report_loss(path: str | os.PathLike[str], what: str, text: str, count: int =
 
 def report_note(path: str | os.PathLike[str], text: str) -> None:
     """Log a line about a file, without a loss."""
-    _logger.warning("%s: %s", os.fspath(path), text)
+    _logger.warning("%s: %s", shown_name(path), text)
 
 
 def report_clipped(
