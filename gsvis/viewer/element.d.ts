@@ -1,5 +1,6 @@
 export type Point = [number, number, number];
 export type Mode = "orbit" | "fly" | "walk";
+export type Quality = "auto" | "low" | "medium" | "high";
 /** A view, in the frame and units of the scene. `fov`: degrees from the lower to the upper border. */
 export interface SceneView {
     eye: Point;
@@ -39,6 +40,10 @@ export declare class GsvisViewerElement extends HTMLElement {
     set noui(bare: boolean);
     get mode(): Mode | null;
     set mode(mode: Mode | null);
+    get quality(): Quality;
+    set quality(quality: Quality);
+    get budget(): number | null;
+    set budget(gaussians: number | null);
     get eye(): Point | null;
     set eye(point: Point | null);
     get to(): Point | null;

@@ -291,6 +291,15 @@ export declare class Viewer extends EventTarget {
     set lens(lens: Camera);
     /** Pixels of the picture for each CSS pixel. */
     get pixelRatio(): number;
+    /** Most pixels for each CSS pixel; Infinity leaves it to the device: 2, or 1.5 on small ones. */
+    get maxPixelRatio(): number;
+    set maxPixelRatio(ratio: number);
+    /**
+     * Most Gaussians that are drawn in a picture, Infinity for all: where more are in view, those with the largest
+     * estimated share of it.
+     */
+    get budget(): number;
+    set budget(gaussians: number);
     /** What the colors show. */
     get paint(): Paint;
     set paint(paint: Paint);
@@ -364,6 +373,7 @@ export interface ViewerOptions {
   antialiased?: boolean; // as the scene states by default
   precision?: Precision; // of the blended picture, or the finest there is; half by default, float with SwiftShader
   maxPixelRatio?: number;
+  budget?: number; // most Gaussians in a picture; all by default
   memory?: number; // bytes on the GPU
   sortWorker?: WorkerStart;
 }

@@ -283,6 +283,24 @@ def test_options_change_what_is_drawn(visit: Open) -> None:
     assert not page.locator(".side").is_visible()
 
 
+def test_quality_bounds_what_is_drawn_and_an_automatic_one_draws_all_at_rest(visit: Open) -> None:
+    page = visit()
+    limits = "[fake.budget, fake.maxPixelRatio]"
+    page.keyboard.press("o")
+    assert page.get_by_label("Automatic").is_checked()
+    page.get_by_text("Low", exact=True).click()
+    assert page.evaluate(limits) == [250_000, 0.75]
+    assert page.get_by_text("At most 250 k Gaussians").is_visible()
+    page.get_by_text("Automatic", exact=True).click()
+    assert page.evaluate(f"{limits}.every((x) => x === Infinity)")
+    page = visit(f"{ROOM}?quality=medium&budget=1234.5")
+    assert page.evaluate(limits) == [1234, 1]
+    page = visit(f"{ROOM}?quality=none&budget=-3&visitor")
+    assert page.evaluate(f"{limits}.every((x) => x === Infinity)")
+    page.keyboard.press("o")
+    assert page.get_by_label("Automatic").is_checked()
+
+
 def test_themes_follow_the_system_or_the_choice(visit: Open) -> None:
     page = visit(color_scheme="light")
     theme = "document.documentElement.dataset.theme"

@@ -25,6 +25,8 @@ class FakeViewer extends EventTarget implements ViewerLike {
   marks: Marks = {};
   levelsShown: boolean[] = [];
   termsShown = true;
+  budget = Infinity;
+  maxPixelRatio = Infinity;
   disposed = false;
   picks: [number, number][] = [];
   state: SourceState = { kind: "connecting" };

@@ -1,5 +1,6 @@
 // All Gaussians that have arrived, as the sort Worker keeps them: records, rows, ids, and which have been replaced. It
 // culls chunks, sorts what is left back to front, and gives everything back when the GPU has lost it.
+import { Budget } from "./budget.ts";
 import { axesOf, sameCamera } from "./camera.ts";
 import { decodeMean, recordLayout } from "./tables.ts";
 import type { RecordLayout } from "./tables.ts";
@@ -29,6 +30,8 @@ export interface Region {
   right: number;
   bottom: number;
   levels: number; // bits of the levels that are drawn
+  most?: number; // Gaussians that are drawn; all by default
+  lowered?: boolean; // opacities are lowered to make up for the blur; matters where `most` is given
 }
 
 export class SortedScene {
@@ -60,6 +63,7 @@ export class SortedScene {
   #classed = 0; // chunks classified for #camera
   #camera: Camera | null = null;
   #region: Region | null = null;
+  readonly #budget = new Budget();
 
   constructor(variant: "rgb" | "hsl", harmonicBytes = 0) {
     this.hsl = variant === "hsl";
@@ -302,7 +306,8 @@ export class SortedScene {
     const fits = room && room.length >= needed && room.length <= 2 * needed + 65536;
     const order = fits ? room : new Uint32Array(Math.ceil((needed * 1.1) / unit) * unit);
     this.#distribute(order, count);
-    return { order, count };
+    const { most = Infinity } = region;
+    return { order, count: count > most ? this.#budget.choose(this, order, count, camera, region, most) : count };
   }
 
   /** Sort by the lower, then by the upper half of the keys. */
@@ -412,5 +417,5 @@ export class SortedScene {
 
 function sameRegion(a: Region | null, b: Region): boolean {
   return !!a && a.left === b.left && a.top === b.top && a.right === b.right && a.bottom === b.bottom &&
-    a.levels === b.levels;
+    a.levels === b.levels && a.most === b.most;
 }

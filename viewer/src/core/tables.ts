@@ -5,7 +5,7 @@ import type { ColorTables } from "./types.ts";
 
 const KNEE = 0.5; // half the width of the interval in which base colors have even steps
 const FLOOR = 0.1; // size of an intensity above which its steps grow with it
-const LEAST_LOG = -126 * 64, MOST_LOG = 128 * 64 - 1; // in 1/64 octave: what float32 holds as normal numbers
+export const LEAST_LOG = -126 * 64, MOST_LOG = 128 * 64 - 1; // in 1/64 octave: what float32 holds as normal numbers
 const LARGEST = 3.4028234663852886e38;
 
 /** All tables of a scene. `base` has one for each component, hue of `hsl` among them; `scales` is [1] for `rgb`. */

@@ -16,6 +16,7 @@ export interface ViewerOptions {
   antialiased?: boolean; // as the scene states by default
   precision?: Precision; // of the blended picture, or the finest there is; half by default, float with SwiftShader
   maxPixelRatio?: number;
+  budget?: number; // most Gaussians in a picture; all by default
   memory?: number; // bytes on the GPU
   sortWorker?: WorkerStart;
 }

@@ -44,6 +44,7 @@ export class Viewer extends EventTarget {
   #eye: Eye;
   #fixed: Camera | null = null;
   #levels: boolean[] = [];
+  #most: { gaussians: number; ratio: number };
   #lost = false;
   #immersed = false;
   #marks: Marks = {};
@@ -73,6 +74,7 @@ export class Viewer extends EventTarget {
     this.canvas = canvas;
     this.#options = options;
     this.#eye = options.camera ?? START;
+    this.#most = { gaussians: options.budget ?? Infinity, ratio: options.maxPixelRatio ?? Infinity };
     this.#sorter = new Sorter(options.sortWorker); // its script comes while the browser makes a context
     const gl = canvas.getContext(
       "webgl2", { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" },
@@ -182,7 +184,27 @@ export class Viewer extends EventTarget {
 
   /** Pixels of the picture for each CSS pixel. */
   get pixelRatio(): number {
-    return Math.min(globalThis.devicePixelRatio || 1, this.#options.maxPixelRatio ?? (isSmall() ? 1.5 : 2));
+    const { ratio } = this.#most;
+    return Math.min(globalThis.devicePixelRatio || 1, ratio < Infinity ? ratio : isSmall() ? 1.5 : 2);
+  }
+
+  /** Most pixels for each CSS pixel; Infinity leaves it to the device: 2, or 1.5 on small ones. */
+  get maxPixelRatio(): number { return this.#most.ratio; }
+  set maxPixelRatio(ratio: number) {
+    if (ratio === this.#most.ratio) return;
+    this.#most.ratio = ratio;
+    this.resize();
+  }
+
+  /**
+   * Most Gaussians that are drawn in a picture, Infinity for all: where more are in view, those with the largest
+   * estimated share of it.
+   */
+  get budget(): number { return this.#most.gaussians; }
+  set budget(gaussians: number) {
+    if (gaussians === this.#most.gaussians) return;
+    this.#most.gaussians = gaussians;
+    this.redraw();
   }
 
   /** What the colors show. */
@@ -456,8 +478,9 @@ export class Viewer extends EventTarget {
     const { width, height } = camera;
     const region: Region = {
       left: -slack, top: -slack, right: width + slack, bottom: height + slack, levels: this.#mask(),
+      most: this.#most.gaussians, lowered: this.#look.antialiased,
     };
-    const same = still && last.region.levels === region.levels, done = same && last.version === this.#version;
+    const same = still && last.region.levels === region.levels && last.region.most === region.most, done = same && last.version === this.#version;
     if (!done && !this.#sorter.sorting && !(same && this.#rests())) {
       this.#asked = { camera, version: this.#version, region };
       this.#sorter.sort(camera, region);

@@ -8,6 +8,7 @@ import { fields, vector } from "../page/json.ts";
 import { MODES } from "../page/navigator.ts";
 import { offer } from "../page/parts.ts";
 import { project } from "../page/project.ts";
+import { budgetOf, qualityOf } from "../page/quality.ts";
 import { FOV_DEGREES } from "../page/rig.ts";
 import type { Look, Stage } from "../page/stage.ts";
 import { clamp, distance } from "../page/vector.ts";
@@ -93,6 +94,8 @@ class Voice {
   #show(options: Record<string, unknown>): void {
     const mode = MODES.find((each) => each === options.mode);
     if (mode) this.stage.turn(mode);
+    const quality = qualityOf(options.quality);
+    if (quality) this.stage.refine(quality, budgetOf(options.budget));
     if (typeof options.noui === "boolean") document.documentElement.toggleAttribute("data-bare", options.noui);
   }
 

@@ -5,6 +5,7 @@ import type { Answer, Ask, PageEvent } from "./protocol.ts";
 
 export type Point = [number, number, number];
 export type Mode = "orbit" | "fly" | "walk";
+export type Quality = "auto" | "low" | "medium" | "high";
 
 /** A view, in the frame and units of the scene. `fov`: degrees from the lower to the upper border. */
 export interface SceneView {
@@ -30,8 +31,9 @@ export interface ScenePick {
   opacity: number;
 }
 
-const ATTRIBUTES = ["src", "eye", "to", "up", "fov", "mode", "noui", "settings", "poster", "sandbox", "lang"] as const;
+const ATTRIBUTES = ["src", "eye", "to", "up", "fov", "mode", "noui", "settings", "poster", "sandbox", "lang", "quality", "budget"] as const;
 const VIEW = ["eye", "to", "fov"];
+const SHOWN = ["mode", "noui", "quality", "budget"];
 const ALLOWED = "fullscreen; xr-spatial-tracking; clipboard-write; gamepad";
 const LONGEST_MS = 30_000; // until a question without an answer fails
 
@@ -75,7 +77,7 @@ export class GsvisViewerElement extends HTMLElement {
   attributeChangedCallback(name: string, before: string | null, now: string | null): void {
     if (before === now || !this.isConnected) return;
     if (VIEW.includes(name) && this.#open && this.eye && this.to) void this.flyTo(this.#view).catch(() => undefined);
-    else if (name === "mode" || name === "noui") void this.#show().catch(() => undefined);
+    else if (SHOWN.includes(name)) void this.#show().catch(() => undefined);
     else if (name === "poster") this.#showPoster();
     else this.#plan();
   }
@@ -90,6 +92,10 @@ export class GsvisViewerElement extends HTMLElement {
   set noui(bare: boolean) { this.toggleAttribute("noui", bare); }
   get mode(): Mode | null { return this.getAttribute("mode") as Mode | null; }
   set mode(mode: Mode | null) { this.#set("mode", mode); }
+  get quality(): Quality { return (this.getAttribute("quality") as Quality | null) ?? "auto"; }
+  set quality(quality: Quality) { this.#set("quality", quality); }
+  get budget(): number | null { return Number(this.getAttribute("budget")) || null; }
+  set budget(gaussians: number | null) { this.#set("budget", gaussians ? String(gaussians) : null); }
   get eye(): Point | null { return pointOf(this.getAttribute("eye")); }
   set eye(point: Point | null) { this.#set("eye", point && point.join(",")); }
   get to(): Point | null { return pointOf(this.getAttribute("to")); }
@@ -141,7 +147,7 @@ export class GsvisViewerElement extends HTMLElement {
   }
 
   #show(): Promise<unknown> {
-    return this.#open ? this.#ask("show", { noui: this.noui, mode: this.mode }) : Promise.resolve();
+    return this.#open ? this.#ask("show", { noui: this.noui, mode: this.mode, quality: this.quality, budget: this.budget }) : Promise.resolve();
   }
 
   /** Open the page once, however many attributes have changed. */
@@ -241,6 +247,10 @@ function addressOf(src: string, element: GsvisViewerElement): string {
   if (settings) page.searchParams.set("settings", new URL(settings, document.baseURI).href);
   const lang = element.closest<HTMLElement>("[lang]")?.lang; // its own, else that of the page around it
   if (lang && !page.searchParams.has("lang")) page.searchParams.set("lang", lang);
+  for (const name of ["quality", "budget"]) {
+    const chosen = element.getAttribute(name);
+    if (chosen) page.searchParams.set(name, chosen);
+  }
   if (element.noui) page.searchParams.set("noui", "");
   const view = ["eye", "to", "up", "fov", "mode"].map((name) => [name, element.getAttribute(name)?.replace(/[\s,]+/g, ",")]);
   const hash = view.filter(([, value]) => value).map(([name, value]) => `${name}=${value}`).join("&");

@@ -1,6 +1,8 @@
 // Which scene a page shows: from its meta elements, the query, or the path. All addresses are relative to the page's.
 // A page opens its own origin alone, and those that whoever wrote the page names: no link can add one.
 
+import { budgetOf, qualityOf } from "./quality.ts";
+import type { Quality } from "./quality.ts";
 import { text } from "./words.ts";
 
 /** A scene: streamed, or read from files. `root` is its server's first address, null where there is none to ask. */
@@ -19,6 +21,8 @@ export interface PageAddress {
   visitor: boolean; // nothing that is for engineers
   permits: Permit;
   still: boolean; // an animation waits until it is asked for
+  quality: Quality;
+  budget: number | null; // most Gaussians in a picture
 }
 
 interface Metas {
@@ -49,6 +53,8 @@ export function readAddress(href: string, metas: Metas): PageAddress {
     bare: query.has("noui"),
     visitor: query.has("visitor") || Boolean(metas.visitor),
     still: query.has("noanim"),
+    quality: qualityOf(query.get("quality")) ?? "auto",
+    budget: budgetOf(query.get("budget")),
   };
 }
 

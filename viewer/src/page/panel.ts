@@ -4,10 +4,12 @@
 import type { Header, Marks, Paint } from "../core/types.ts";
 import type { Actions } from "./actions.ts";
 import { actionButton, choices, slider, toggle } from "./controls.ts";
-import { make } from "./dom.ts";
-import { formatGaussians } from "./format.ts";
+import { make, setText } from "./dom.ts";
+import { formatCount, formatGaussians } from "./format.ts";
 import { isMarked, legendOf, levelColor, paintsOf } from "./paints.ts";
 import type { PaintChoice } from "./paints.ts";
+import { QUALITIES } from "./quality.ts";
+import type { Quality, QualityChoice } from "./quality.ts";
 import type { Theme } from "./theme.ts";
 import type { ViewerLike } from "./viewer-like.ts";
 import { text } from "./words.ts";
@@ -20,6 +22,7 @@ interface PanelTargets {
   served(): boolean; // there is a server to ask for marks
   marks(): Promise<Marks | null>;
   cells: { known(): boolean; shown(): boolean; show(shown: boolean): void };
+  quality: QualityChoice;
   pace: { factor(): number; choose(factor: number): void };
 }
 
@@ -31,6 +34,7 @@ interface Part {
 export class Panel {
   readonly element = make("div", { class: "panel" });
   readonly #legend = make("p", { class: "legend" });
+  readonly #quality = make("p", { class: "legend" });
   readonly #buttons: HTMLElement; // made once: each of them watches the actions as long as the page lives
   #parts: Part[] = [];
 
@@ -63,8 +67,12 @@ export class Panel {
         targets.served() ? null : make("p", { class: "legend" }, text("say.served")),
       ));
     }
-    const { fov, pace, theme } = targets;
+    const { fov, pace, theme, quality } = targets;
     sections.push(
+      section(text("options.quality"),
+        add(choices<Quality>("quality", text("options.quality"),
+          QUALITIES.map((value) => ({ value, label: text(`quality.${value}`) })), () => quality.chosen,
+          (chosen) => (quality.choose(chosen), this.#showQuality()))), this.#quality),
       section(text("options.camera"),
         add(
           slider(
@@ -92,6 +100,14 @@ export class Panel {
     for (const part of this.#parts) part.refresh();
     const viewer = this.targets.viewer();
     if (viewer) this.#showLegend(viewer.paint);
+    this.#showQuality();
+  }
+
+  #showQuality(): void {
+    const { chosen, limits: { budget } } = this.targets.quality;
+    const says = chosen === "auto" ? text("quality.auto.text") : budget < Infinity
+      ? text("quality.most", { budget: formatCount(budget) }) : text("quality.all");
+    setText(this.#quality, says);
   }
 
   #paints(header: Header): PaintChoice[] {

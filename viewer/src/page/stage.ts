@@ -4,6 +4,7 @@
 import type { Permit } from "./address.ts";
 import type { View } from "./hash.ts";
 import type { Mode } from "./navigator.ts";
+import type { Quality } from "./quality.ts";
 import type { Vec3 } from "./vector.ts";
 import type { Pick } from "./viewer-like.ts";
 
@@ -30,6 +31,8 @@ export interface Stage {
   turn(mode: Mode): void;
   find(x: number, y: number): Promise<Pick | null>;
   picture(): Promise<Blob>;
+  /** Draw with a preset, and at most so many Gaussians where that is not null. */
+  refine(quality: Quality, budget: number | null): void;
   say(line: string): void;
   /** Call back whenever the view has changed or rests. */
   follow(each: (resting: boolean) => void): void;

@@ -24,6 +24,7 @@ import type { Mode, Navigator } from "./navigator.ts";
 import { Notices } from "./notice.ts";
 import { Overlay } from "./overlay.ts";
 import { Panel } from "./panel.ts";
+import { QualityChoice } from "./quality.ts";
 import { part } from "./parts.ts";
 import { DEGREES, pivot, rotation } from "./rig.ts";
 import type { Rig } from "./rig.ts";
@@ -95,18 +96,20 @@ export class ViewPage {
   readonly #inspector: Inspector;
   readonly #drive: Drive;
   readonly #navigator: Navigator;
+  readonly #quality: QualityChoice;
 
   constructor(private scene: SceneAddress, private readonly page: PageAddress, private readonly core: Core) {
     this.#root = document.querySelector("main") ?? document.body.appendChild(make("main"));
     this.#token = page.token;
     this.#facts = factsOf(scene);
+    this.#quality = new QualityChoice(page.quality, page.budget);
     this.#theme = new ThemeChoice(() => this.#showBackground());
     this.#notices = new Notices(
       { retry: () => this.#restart(), token: (token) => this.#enter(token) },
     );
     this.#drive = new Drive({
-      actions: this.#actions, moved: () => (this.#sendCamera(), void this.#learnWalls()),
-      rested: () => (this.#panel.refresh(), this.#actions.changed(), this.#writeAddress(), this.#lead(true)),
+      actions: this.#actions, moved: () => (this.#quality.move(true), this.#sendCamera(), void this.#learnWalls()),
+      rested: () => (this.#quality.move(false), this.#panel.refresh(), this.#actions.changed(), this.#writeAddress(), this.#lead(true)),
       click: (x, y, withAlt) => void (this.#inspector.on || (withAlt && !this.page.visitor) ? this.#inspector.inspect(x, y) : undefined),
       doubleClick: (x, y) => void this.#goTo(x, y), view: (index) => this.#goToView(index),
       escape: () => this.#side.close() || this.#stopInspecting(),
@@ -135,6 +138,7 @@ export class ViewPage {
         known: () => this.#overlay.known, shown: () => !this.#overlay.element.hidden,
         show: (shown) => this.#showCells(shown),
       },
+      quality: this.#quality,
       pace: { factor: () => this.#navigator.pace, choose: (factor) => void (this.#navigator.pace = factor) },
     });
     this.#help = new Help(this.#actions);
@@ -232,6 +236,8 @@ export class ViewPage {
     const viewer = this.#viewer;
     viewer.addEventListener("header", () => void (viewer.header && this.#takeHeader(viewer.header, source)));
     viewer.addEventListener("state", () => this.#takeState());
+    viewer.addEventListener("frame", () => this.#quality.drawn(performance.now()));
+    this.#quality.use(viewer);
     viewer.addEventListener("contextlost", () => this.#notices.say(text("say.context"), true));
     viewer.addEventListener("contextrestored", () => this.#notices.say(""));
     viewer.addEventListener("problem", (event) => this.#notices.say(
@@ -451,6 +457,7 @@ export class ViewPage {
       go: (view, now) => this.#goToPlace(view, now), turn: (mode) => this.#setMode(mode),
       find: async (x, y) => (await this.#viewer?.pick(x, y)) ?? null,
       picture: () => this.#viewer?.screenshot() ?? Promise.reject(new Error(text("say.undrawn"))),
+      refine: (quality, budget) => (this.#quality.choose(quality, budget), this.#panel.refresh()),
       say: (line) => this.#notices.say(line), follow: (each) => void this.#followers.push(each),
     };
   }

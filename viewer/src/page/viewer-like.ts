@@ -50,6 +50,8 @@ export interface ViewerLike {
   marks: Marks;
   levelsShown: boolean[];
   termsShown: boolean;
+  budget: number; // most Gaussians in a picture
+  maxPixelRatio: number;
   readonly statistics: Statistics;
   readonly header: Header | null;
   pick(x: number, y: number): Promise<Pick | null>;
