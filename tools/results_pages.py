@@ -189,6 +189,7 @@ PAGES = {
             "viewer_load_nika",
             "viewer_bytes",
             "viewer_draw",
+            "splat_budget",
             "static_seconds",
             "walls",
             "first_views",

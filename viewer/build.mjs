@@ -63,6 +63,7 @@ if (process.argv.includes("--tests")) {
       xr: join(here, "src/core/xr.ts"),
       tour: join(here, "src/page/tour.ts"),
       hotspots: join(here, "src/page/hotspots.ts"),
+      author: join(here, "src/page/author.ts"),
       embed: join(here, "src/embed/answer.ts"),
       element: join(here, "src/embed/element.ts"),
       list: join(here, "src/page/listing.ts"),

@@ -116,7 +116,7 @@ SPOTS = {
 def serve_page(script: Path) -> Iterator[str]:
     """Serve the pages as `gsvis serve` does; gives the address."""
     pages, built = VIEWER / "src" / "page", VIEWER.parent / "gsvis" / "viewer"
-    scripts = ("list.js", "tour.js", "hotspots.js", "words-de.js")
+    scripts = ("author.js", "list.js", "tour.js", "hotspots.js", "words-de.js")
     facts = {f"/scenes/show%20room/{name}": json.dumps(value).encode() for name, value in make_facts().items()}
     scenes = {
         "scenes": [{"name": name, "gaussians": 780_582, "stream": "s", "static": None} for name in (NAME, HOSTILE)]

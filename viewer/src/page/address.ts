@@ -21,6 +21,7 @@ export interface PageAddress {
   visitor: boolean; // nothing that is for engineers
   permits: Permit;
   still: boolean; // an animation waits until it is asked for
+  authors: boolean; // the settings may be edited
   quality: Quality;
   budget: number | null; // most Gaussians in a picture
 }
@@ -53,6 +54,7 @@ export function readAddress(href: string, metas: Metas): PageAddress {
     bare: query.has("noui"),
     visitor: query.has("visitor") || Boolean(metas.visitor),
     still: query.has("noanim"),
+    authors: query.has("author"),
     quality: qualityOf(query.get("quality")) ?? "auto",
     budget: budgetOf(query.get("budget")),
   };

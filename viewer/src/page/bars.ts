@@ -8,7 +8,7 @@ import { MODES } from "./navigator.ts";
 import type { Mode } from "./navigator.ts";
 import { text } from "./words.ts";
 
-const TOOLS = ["inspect", "statistics", "share", "picture", "vr", "full", "options", "help"] as const;
+const TOOLS = ["inspect", "statistics", "share", "picture", "vr", "full", "author", "options", "help"] as const;
 const WIDE_ONLY = new Set(["statistics", "share", "picture", "full"]); // phones find these among the options
 
 export class TitleBar {

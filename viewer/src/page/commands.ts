@@ -8,6 +8,9 @@ export interface Commands {
   explains(): boolean; // what is for engineers is offered
   inspecting(): boolean;
   toggleInspecting(): void;
+  authors(): boolean; // who looks may edit the settings
+  authorShown(): boolean;
+  toggleAuthor(): void;
   optionsShown(): boolean;
   toggleOptions(): void;
   statisticsShown(): boolean;
@@ -42,6 +45,10 @@ export function defineActions(actions: Actions, page: Commands): void {
       run: page.toggleInspecting,
     },
     { id: "options", label: text("action.options"), key: "o", icon: "options", pressed: page.optionsShown, run: page.toggleOptions },
+    {
+      id: "author", label: text("action.author"), key: "n", icon: "author", available: page.authors,
+      pressed: page.authorShown, run: page.toggleAuthor,
+    },
     {
       id: "statistics", label: text("action.statistics"), key: "t", icon: "statistics", pressed: page.statisticsShown,
       available: page.explains,

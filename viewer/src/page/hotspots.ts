@@ -78,7 +78,7 @@ class Hotspots {
     });
     this.element.append(...this.#buttons, this.#card);
     this.element.addEventListener("keydown", (event) => event.key === "Escape" && this.#close());
-    stage.follow((resting) => this.#follow(resting));
+    stage.follow((resting) => void (this.element.isConnected && this.#follow(resting)));
     this.#follow(true);
   }
 

@@ -5,6 +5,8 @@ import { draw } from "./dom.ts";
 const LINES = {
   back: "M15 5l-7 7 7 7",
   next: "M9 5l7 7-7 7",
+  up: "M6 14l6-6 6 6",
+  author: "M4 20l1-4L16 5l3 3L8 19zM14 7l3 3",
   close: "M6 6l12 12M18 6L6 18",
   inspect: "M12 3v4M12 17v4M3 12h4M17 12h4M12 7a5 5 0 1 0 0 10a5 5 0 0 0 0-10M12 12h.01",
   options: "M4 7h9M19 7h1M4 17h1M11 17h9" +

@@ -8,6 +8,7 @@ import type { Key, Values, Words } from "./words.ts";
 interface Parts {
   tour(settings: unknown): Tour;
   hotspots(stage: Stage, settings: unknown): HTMLElement;
+  author(stage: Stage): HTMLElement;
   embed(stage: Stage, embedders: readonly string[]): void;
   text(key: Key, values?: Values): string; // of the page itself
   [words: `words-${string}`]: Words; // texts of a language

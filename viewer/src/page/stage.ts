@@ -33,6 +33,12 @@ export interface Stage {
   picture(): Promise<Blob>;
   /** Draw with a preset, and at most so many Gaussians where that is not null. */
   refine(quality: Quality, budget: number | null): void;
+  /** Return the settings of the page as they were read. */
+  settings(): unknown;
+  /** Show other settings. */
+  apply(settings: unknown): Promise<void>;
+  /** Call with each click on the picture; one that is taken (true) does nothing else. */
+  clicks(take: (x: number, y: number) => boolean): void;
   say(line: string): void;
   /** Call back whenever the view has changed or rests. */
   follow(each: (resting: boolean) => void): void;

@@ -63,6 +63,9 @@ export class ViewPage {
   #facts: Facts;
   #surroundings: Surroundings = { floor: null, cells: null, poses: [] };
   #settings: Settings = { views: [], background: null, spots: false, animated: false, plays: false };
+  #said: unknown = null; // settings as they were read
+  #author: HTMLElement | null = null;
+  #takeClick: (x: number, y: number) => boolean = () => false;
   #tour: Tour | null = null;
   #toured = 0; // seconds of it that were shown
   #ready: Promise<unknown>;
@@ -110,7 +113,7 @@ export class ViewPage {
     this.#drive = new Drive({
       actions: this.#actions, moved: () => (this.#quality.move(true), this.#sendCamera(), void this.#learnWalls()),
       rested: () => (this.#quality.move(false), this.#panel.refresh(), this.#actions.changed(), this.#writeAddress(), this.#lead(true)),
-      click: (x, y, withAlt) => void (this.#inspector.on || (withAlt && !this.page.visitor) ? this.#inspector.inspect(x, y) : undefined),
+      click: (x, y, withAlt) => void (this.#takeClick(x, y) ? undefined : this.#inspector.on || (withAlt && !this.page.visitor) ? this.#inspector.inspect(x, y) : undefined),
       doubleClick: (x, y) => void this.#goTo(x, y), view: (index) => this.#goToView(index),
       escape: () => this.#side.close() || this.#stopInspecting(),
     });
@@ -169,10 +172,25 @@ export class ViewPage {
     window.addEventListener("resize", () => this.#resize());
   }
 
-  /** Show hotspots, once; no picture waits for them. */
+  /** Take settings; no picture waits for their hotspots. */
+  async #apply(said: unknown): Promise<void> {
+    this.#settings = readSettings(said);
+    this.#said = said;
+    this.#tour = this.#settings.animated ? (await part("tour"))(said) : null;
+    if (this.#settings.spots || this.#root.querySelector(".spots")) void this.#showSpots(said);
+  }
+
   async #showSpots(settings: unknown): Promise<void> {
     const show = await part("hotspots");
-    if (!this.#root.querySelector(".spots")) this.#overlay.element.after(show(this.stage, settings));
+    this.#root.querySelector(".spots")?.remove();
+    this.#overlay.element.after(show(this.stage, settings));
+  }
+
+  /** Open or close the panel of authors; it is made once. */
+  async #toggleAuthor(): Promise<void> {
+    if (this.#side.shows("author")) return void this.#side.close();
+    this.#author ??= (await part("author"))(this.stage);
+    this.#side.open("author", text("action.author"), this.#author);
   }
 
   #resize(): void {
@@ -193,12 +211,7 @@ export class ViewPage {
       try {
         const response = await fetch(this.page.settings);
         if (!response.ok) throw new Error(text("say.settings.status", { status: String(response.status) }));
-        const said: unknown = await response.json();
-        this.#settings = readSettings(said);
-        if (this.#settings.animated) {
-          this.#tour = (await part("tour"))(said);
-        }
-        if (this.#settings.spots) void this.#showSpots(said);
+        await this.#apply(await response.json());
       } catch (error) {
         this.#notices.say(text("say.settings", { reason: reasonOf(error) }).trim());
       }
@@ -310,6 +323,7 @@ export class ViewPage {
     this.#start = begin("", this.#settings.views, this.#navigator.frame, this.#surroundings).rig;
     if (first.problem) this.#notices.say(first.problem);
     if (plays) this.#play();
+    if (this.page.authors) void this.#toggleAuthor();
   }
 
   /** Find out how far away lies what is looked at, where no view has said it. */
@@ -457,6 +471,14 @@ export class ViewPage {
       go: (view, now) => this.#goToPlace(view, now), turn: (mode) => this.#setMode(mode),
       find: async (x, y) => (await this.#viewer?.pick(x, y)) ?? null,
       picture: () => this.#viewer?.screenshot() ?? Promise.reject(new Error(text("say.undrawn"))),
+      settings: () => this.#said, clicks: (take) => void (this.#takeClick = take),
+      apply: async (said) => {
+        await this.#apply(said);
+        this.#views = this.#settings.views;
+        this.#view = Math.min(this.#view, Math.max(this.#views.length - 1, 0));
+        this.#showBackground();
+        this.#actions.changed();
+      },
       refine: (quality, budget) => (this.#quality.choose(quality, budget), this.#panel.refresh()),
       say: (line) => this.#notices.say(line), follow: (each) => void this.#followers.push(each),
     };
@@ -548,6 +570,9 @@ export class ViewPage {
         this.#canvas.classList.toggle("inspecting", this.#inspector.on);
         this.#notices.say(this.#inspector.on ? text("say.inspect") : "");
       },
+      authors: () => this.page.authors,
+      authorShown: () => this.#side.shows("author"),
+      toggleAuthor: () => void this.#toggleAuthor(),
       optionsShown: () => this.#side.shows("options"),
       toggleOptions: () => {
         if (this.#side.shows("options")) this.#side.close();
