@@ -99,10 +99,13 @@ def test_a_page_of_another_origin_flies_hears_and_projects_and_may_not_read(brow
     site, other = pages
     with page_in(browser, f"{other}/index.html", **SMALL) as (page, said):
         page.evaluate(
-            "args => show(args)", {"src": f"{site}/", "eye": "1,1,1.5", "to": "3 2 1.2", "mode": "fly", "noui": ""}
+            "args => show(args)",
+            {"src": f"{site}/", "eye": "1,1,1.5", "to": "3 2 1.2", "mode": "fly", "noui": "", "quality": "low"},
         )
         wait(page, "names().includes('ready') && heard.some(([, x]) => x?.state === 'complete')")
         assert {"pose", "progress", "ready"} <= set(page.evaluate("names()"))
+        assert "quality=low" in page.frames[1].url
+        page.evaluate("scene.budget = 1000")
         found = pose(page)
         assert (found["eye"], found["mode"]) == ([1, 1, 1.5], "fly")
         middle = page.evaluate("scene.project([3, 2, 1.2])")
@@ -112,10 +115,6 @@ def test_a_page_of_another_origin_flies_hears_and_projects_and_may_not_read(brow
         wait(page, "heard.findLast(([name]) => name === 'pose')[1].eye[0] === 2")
         page.evaluate("scene.eye = [1.5, 1, 1.4]")
         wait(page, "Math.abs(heard.findLast(([name]) => name === 'pose')[1].eye[0] - 1.5) < 1e-6")
-        page.evaluate("scene.quality = 'low'")
-        page.frames[1].locator("body").press("o")
-        page.frames[1].get_by_label("Low").and_(page.frames[1].locator(":checked")).wait_for(state="attached")
-        page.frames[1].locator("body").press("o")
         for asked in ("scene.screenshot()", "scene.pick(200, 120)"):
             assert "may read the scene" in page.evaluate(f"why({asked})")
         page.frames[1].locator("canvas").first.click(position={"x": 200, "y": 120})

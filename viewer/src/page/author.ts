@@ -117,7 +117,7 @@ export function trackOf(cameras: Draft["cameras"], seconds: number, loops: boole
 }
 
 class Author {
-  readonly element = make("div", { class: "author panel" });
+  readonly element = make("div", { class: "author" });
   readonly #key: string;
   readonly #undone = make("button", { type: "button", class: "text" }, icon("back"), textOfPage("author.undo"));
   readonly #first: Draft; // of the settings that the page came with
@@ -239,12 +239,13 @@ class Author {
     const set = (next: Spot[]): void => this.#change({ ...this.#draft, annotations: next });
     const rows = annotations.map((spot, k) => {
       const label = spot.title || textOfPage("author.spot", { number: k + 1 });
-      const field = (name: "title" | "text", long = false): HTMLElement => this.#field(
-        textOfPage(`author.${name}`, { label }), spot[name], (typed) => this.#edit("annotations", k, { [name]: typed }), long);
+      const field = (name: "title" | "text", says: string): HTMLElement => (
+        this.#field(says, spot[name], (typed) => this.#edit("annotations", k, { [name]: typed }), name === "text"));
       const link = this.#field(textOfPage("author.link", { label }), String(spot.extras.link ?? ""), (typed) => (
         this.#edit("annotations", k, { extras: { ...spot.extras, link: typed } })));
       const drop = tool("close", textOfPage("author.delete", { label }), `spot-${k}`, () => set(annotations.filter((_, i) => i !== k)));
-      return make("li", { class: "spot-edit" }, make("div", {}, field("title"), drop), field("text", true), link);
+      return make("li", { class: "spot-edit" }, make("div", {}, field("title", textOfPage("author.title", { label })), drop),
+        field("text", textOfPage("author.text", { label })), link);
     });
     const input = make("input", { type: "checkbox", role: "switch", "data-at": "clicks" });
     input.checked = this.#placing;
