@@ -5,8 +5,8 @@ Given: showroom LOD 2 (1.5 million Gaussians, no walls hidden by sets) and eyes 
 Measured: PSNR of the viewer's picture with a budget against its picture without; the same for the nearest Gaussians and
     for random ones, as many, drawn by `rasterize`; seconds of all cores for a frame of a turning camera; milliseconds
     of a sort in its Worker.
-Defaults chosen on: five eyes of seed 31 in the same scene (sizes of tiles). The first of the eyes here showed a fault at
-    the border of the picture, which was mended.
+Defaults chosen on: five eyes of seed 31 in the same scene (sizes of tiles). The first of the eyes here showed a fault
+    at the border of the picture, which was mended.
 """
 
 from __future__ import annotations
