@@ -126,7 +126,8 @@ PAGES = {
         ),
     ),
     "levels": Page(
-        "Training and levels", ("train_photos", "train_resume", "levels_showroom", "levels_bonsai", "importance")
+        "Training and levels",
+        ("train_photos", "train_resume", "levels_showroom", "levels_unseen", "levels_bonsai", "importance"),
     ),
     "streaming": Page(
         "Streaming",

@@ -32,7 +32,7 @@ from gsvis.train.images import render_views
 from gsvis.train.level_quality import measure_levels
 from gsvis.train.level_views import LevelViews, views_to_choose, views_to_train
 from gsvis.train.levels import LevelsConfig, frozen_sizes
-from gsvis.train.merge import merge_gaussians
+from gsvis.train.pairs import merge_pairs
 
 __all__ = ["StageTrial"]
 
@@ -85,7 +85,7 @@ class StageTrial:
                 stays = np.zeros(len(self._scene), bool)
                 stays[order[:frozen]] = True
                 began = self._clock()
-                merged = merge_gaussians(self._scene[~stays], (begun + total) // 2 - frozen)
+                merged = merge_pairs(self._scene[~stays], (begun + total) // 2 - frozen)
                 seconds += self._clock() - began
                 if not photos:
                     fit_opacities(

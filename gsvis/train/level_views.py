@@ -2,7 +2,8 @@
 
 Viewpoints of renders lie in navigable space, outside of solid parts. Views to measure on are independent of those to
 train on. Levels are chosen and trained by wide views: one costs little more than a narrow view and shows several times
-as much, so that few parts of a scene are seen by only a few cameras. Scene frame; OpenCV cameras.
+as much, so that few parts of a scene are seen by only a few cameras. Outside of rooms half of them look at detail from
+near, wherever navigable space lies, so that a wrong space costs little. Scene frame; OpenCV cameras.
 docs/design/019-levels.md compares them.
 """
 
@@ -11,8 +12,11 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
+from gsvis.render.judges import find_judges
 from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -24,6 +28,7 @@ from gsvis.train.photos import load_photos
 
 __all__ = [
     "CHOOSING",
+    "NEAR",
     "WIDE",
     "LevelViews",
     "draw_views",
@@ -32,6 +37,10 @@ __all__ = [
     "views_to_train",
 ]
 
+NEAR = 0.5
+"""Share of views to train by, and of the first views to choose by, that look at detail from near."""
+
+_OTHER_SEED = 1_000_003  # added to the seed of near views, whose rule also judges levels with other seeds
 _EVERY = 8  # one in this many photos is held out
 CHOOSING = 4
 """Cameras for the choice of Gaussians, per camera to train on."""
@@ -86,7 +95,7 @@ def draw_views(
         sampling: Size of held-out views, and the number of training views, which are smaller and wider. The next
             random stream gives the held-out views. The stream after it gives four times as many wide cameras for
             choosing
-            Gaussians: a Gaussian that few of them see well is dropped first.
+            Gaussians: a Gaussian that few of them see well is dropped first. `NEAR` of them look at detail instead.
         held_out: Number of held-out cameras; 0 for none.
         progress: Called with stage "views".
 
@@ -98,7 +107,11 @@ def draw_views(
         asked.append(replace(sampling, count=held_out, stream=sampling.stream + 1))
     total = sum(each.count for each in asked)
     found: list[PosedImages] = []
-    for cameras in [each.cameras(g, space) for each in asked]:
+    near = _near_cameras(g, space, sampling)
+    half = len(near) // 2
+    places = [each.cameras(g, space) for each in asked]
+    places[0] = _take_turns(near[:half], places[0])[: sampling.count]
+    for cameras in places:
 
         def report(stage: str, done: int, of: int, before: int = sum(map(len, found))) -> None:
             """Report progress over all kinds of views."""
@@ -109,8 +122,30 @@ def draw_views(
     if float(found[0].images.max()) < _DARK:
         raise SceneError("views from inside the scene are empty; check the up axis")
     drawn = f"drawn at random where eyes may be ({space.rule})"
-    many = views_to_choose(sampling).cameras(g, space)
+    choosing = views_to_choose(sampling)
+    many = choosing.cameras(g, space)
+    many = _take_turns(near[half:].resize(choosing.width, choosing.height), many)[: choosing.count]
     return LevelViews(found[0], found[1] if held_out else None, drawn, False, many, space=space)
+
+
+def _near_cameras(g: Gaussians, space: NavigableSpace, sampling: ViewSampling) -> Cameras:
+    """Return cameras near detail, half of them to train by, half to choose by; none in rooms, whose space holds them.
+
+    They follow the rule of judge's eyes, with a seed of their own.
+    """
+    count = 0 if space.kind.kind == "rooms" else 2 * round(NEAR * sampling.count)
+    small = views_to_train(sampling)
+    return find_judges(g, replace(small, count=count, fov=sampling.fov, seed=sampling.seed + _OTHER_SEED)).cameras
+
+
+def _take_turns(first: Cameras, second: Cameras) -> Cameras:
+    """Return cameras of two kinds in turn, then what is left of the longer."""
+    if len(first) == 0:
+        return second
+    places = np.concatenate([np.arange(len(first)), np.arange(len(second)) + 0.5])
+    order = np.argsort(places, kind="stable")
+    viewmats = np.concatenate([first.viewmats, second.viewmats])[order]
+    return Cameras(viewmats, np.concatenate([first.Ks, second.Ks])[order], second.width, second.height)
 
 
 def views_to_train(sampling: ViewSampling) -> ViewSampling:

@@ -35,7 +35,7 @@ from gsvis.train.fill_in import fit_opacities
 from gsvis.train.history import Record
 from gsvis.train.images import PosedImages
 from gsvis.train.importance import ROUNDS, prune
-from gsvis.train.merge import merge_gaussians
+from gsvis.train.pairs import merge_pairs
 
 __all__ = ["SUBSETS", "LevelsConfig", "TrainedLevels", "frozen_sizes", "train_levels"]
 
@@ -262,7 +262,7 @@ def train_levels(
             owns.append(scene[stays][:0])
             histories[name] = []
             continue
-        merged = merge_gaussians(scene[~stays], begun - frozen)
+        merged = merge_pairs(scene[~stays], begun - frozen)
         if choose_by is not None:  # photographs differ from the scene by more than a merge does
             merged = fit_opacities(merged, scene[stays], views)
         training = config.training(total, scene.sh_degree)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gsvis.scene.gaussians import Gaussians, quats_from_rotations
 
-__all__ = ["merge_by_cell", "merge_gaussians", "occupied_voxels"]
+__all__ = ["mean_shadows", "merge_by_cell", "merge_gaussians", "occupied_voxels"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -49,7 +49,7 @@ def merge_gaussians(g: Gaussians, count: int) -> Gaussians:
     """
     cells = _cells_for(g, count)
     number = int(cells.max()) + 1
-    coverage = np.bincount(cells, g.opacities * _mean_shadows(g.scales.astype(np.float64)), minlength=number)
+    coverage = np.bincount(cells, g.opacities * mean_shadows(g.scales.astype(np.float64)), minlength=number)
     kept = np.argsort(-coverage, kind="stable")[:count]
     place = np.full(number, -1)
     place[kept] = np.arange(count)
@@ -103,7 +103,7 @@ def merge_by_cell(g: Gaussians, cells: I64) -> Gaussians:
     number = int(cells.max()) + 1
     order = np.argsort(cells, kind="stable")
     starts = np.searchsorted(cells[order], np.arange(number))
-    shadows = _mean_shadows(g.scales.astype(np.float64))
+    shadows = mean_shadows(g.scales.astype(np.float64))
     weights = np.maximum(g.opacities * shadows, 1e-30)  # cells of invisible Gaussians need a mean too
     total = np.add.reduceat(weights[order], starts)
 
@@ -126,7 +126,7 @@ def merge_by_cell(g: Gaussians, cells: I64) -> Gaussians:
         "means": means + middle,
         "quats": quats_from_rotations(axes),
         "scales": scales,
-        "opacities": np.minimum(visible / _mean_shadows(scales), _MOST_OPAQUE),
+        "opacities": np.minimum(visible / mean_shadows(scales), _MOST_OPAQUE),
         "sh0": mean(g.sh0),
         "shN": mean(g.shN) if g.sh_degree else np.zeros((number, 0, 3)),
     }
@@ -136,7 +136,7 @@ def merge_by_cell(g: Gaussians, cells: I64) -> Gaussians:
     return Gaussians(**merged, facts=g.facts)
 
 
-def _mean_shadows(scales: F64) -> F64:
+def mean_shadows(scales: F64) -> F64:
     """Return (N,) mean areas of the shadows of ellipsoids with these half axes: a quarter of their surface."""
     a, b, c = (scales**_KNUD_THOMSEN).T
     return np.asarray(np.pi * ((a * b + b * c + c * a) / 3.0) ** (1.0 / _KNUD_THOMSEN))
