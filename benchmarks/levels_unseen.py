@@ -7,7 +7,7 @@ process: drawing views, choosing, merging and training.
 
 Given: scenes, shares and reuse, steps.
 Measured: PSNR of held-out views against the full scene, mean and worst; processor time.
-Defaults chosen on: massa (near views, pairs instead of voxels); nika and flowers judge.
+Defaults chosen on: massa (near views, pairs instead of voxels), and the price of color by these views of all three.
 """
 
 from __future__ import annotations
