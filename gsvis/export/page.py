@@ -56,7 +56,13 @@ FOLDER = "scene"
 _STYLE = '<link rel="stylesheet"'
 _EMPTY = '<main class="scene">'
 
-_PARTS = ("author.js", "embed.js", "hotspots.js", "tour.js", "words-de.js")  # loaded when used; a page in one file holds them
+_PARTS = (
+    "author.js",
+    "embed.js",
+    "hotspots.js",
+    "tour.js",
+    "words-de.js",
+)  # loaded when used; a page in one file holds them
 _SCRIPTS = ("page.js", "sort.js", "static.js", "network.js", "xr.js", "element.js", *_PARTS)
 _WORKERS = ("sort.js", "static.js", "network.js")
 _LOG = logging.getLogger(__name__)

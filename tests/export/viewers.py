@@ -24,6 +24,18 @@ def viewer_of(folder: Path) -> Path:
     folder.mkdir()
     (folder / "view.html").write_text(PAGE, encoding="utf-8")
     (folder / "page.css").write_text("body { margin: 0 }")
-    for name in ("page", "sort", "static", "network", "tour", "author", "xr", "embed", "hotspots", "element", "words-de"):
+    for name in (
+        "page",
+        "sort",
+        "static",
+        "network",
+        "tour",
+        "author",
+        "xr",
+        "embed",
+        "hotspots",
+        "element",
+        "words-de",
+    ):
         (folder / f"{name}.js").write_text(f"console.log('{name}', '</script><!--');")
     return folder
