@@ -11,8 +11,9 @@ import zipfile
 from pathlib import Path, PurePosixPath
 
 from gsvis import _check
+from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
-from gsvis.files.limits import Budget
+from gsvis.files.limits import Budget, open_regular, read_whole
 from gsvis.io._sog_files import ZipStore
 from gsvis.io.streamed_sog_writer import META
 
@@ -24,14 +25,13 @@ _HEAD = b"PK\x03\x04"
 
 def is_streamed_zip(path: str | os.PathLike[str]) -> bool:
     """Return whether a path is a zip with a `lod-meta.json`; False for everything that cannot be read as a zip."""
-    file = Path(path)
     try:
-        with file.open("rb") as stream:
+        with open_regular(path) as stream:
             if stream.read(len(_HEAD)) != _HEAD:
                 return False
-        with zipfile.ZipFile(file) as archive:
-            return any(PurePosixPath(name).name == META for name in archive.namelist())
-    except (OSError, zipfile.BadZipFile, ValueError):
+            with zipfile.ZipFile(stream) as archive:
+                return any(PurePosixPath(name).name == META for name in archive.namelist())
+    except (OSError, zipfile.BadZipFile, ValueError, FormatError):
         return False
 
 
@@ -53,7 +53,7 @@ def pack_streamed(folder: str | os.PathLike[str], path: str | os.PathLike[str]) 
     with atomic_path(path) as partial:
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
             for name in sorted(files, key=lambda name: name != META):
-                archive.writestr(zipfile.ZipInfo(name), (root / name).read_bytes())
+                archive.writestr(zipfile.ZipInfo(name), read_whole(root / name))
         return partial.stat().st_size
 
 

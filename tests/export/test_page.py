@@ -189,7 +189,7 @@ def test_one_file_holds_everything_and_asks_for_nothing(viewer: Path, scene: Gau
     assert workers == {name: (viewer / name).read_bytes() for name in ("sort.js", "static.js", "network.js")}
     running = [body for a, body in scripts if a.get("type") in (None, "module")]
     policy = str(page.metas()["Content-Security-Policy"])
-    assert len(running) == 6  # what starts Workers, embedding, hotspots, animations, German, the page
+    assert len(running) == 7  # what starts Workers, embedding, hotspots, animations, authoring, German, the page
     for body in running:
         assert f"'sha256-{base64.b64encode(hashlib.sha256(body.encode()).digest()).decode()}'" in policy
         assert "<!--" not in body

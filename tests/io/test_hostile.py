@@ -144,6 +144,7 @@ OPENED_OTHERWISE = {
     "pvs/_tasks.py": "memmap",  # what this run wrote for its workers
     "report/frames.py": "load",  # what this run wrote
     "cli/streams.py": "open",  # the null device
+    "io/remote.py": "open",  # a file in a storage of fsspec
 }
 
 
