@@ -41,6 +41,10 @@ def fetched(command: Command) -> Iterator[Command]:
         what = "address" if "://" in got else "zip"
         remedy = "fetch it with gsvis convert ADDRESS FILE" if what == "address" else "unzip it, name its lod-meta.json"
         raise ValueError(f"SCENE: expected a scene on this disk as it is, got the {what} {got}; {remedy}")
+    out = getattr(command, "out", None)
+    for scene in scenes:
+        if isinstance(out, str) and "://" not in scene and Path(out).resolve() == Path(scene).resolve():
+            raise ValueError(f"--out: expected another file than SCENE, got {out}; name another")
     with ExitStack() as stack:
         folder = stack.enter_context(temporary_folder())
         lod = _lod_of(command)

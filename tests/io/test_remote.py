@@ -59,13 +59,13 @@ def folder(tmp_path: Path) -> Path:
 def test_a_file_comes_whole_with_its_name_and_its_progress(host: tuple[str, Path], folder: Path) -> None:
     address, root = host
     save_ply(SCENE, root / "my scene.ply")
-    told: list[tuple[str, int, int]] = []
-    path = fetch_scene(f"{address}/my%20scene.ply?token=a/b", folder, progress=lambda *each: told.append(each))
+    steps: list[tuple[str, int, int]] = []
+    path = fetch_scene(f"{address}/my%20scene.ply?token=a/b", folder, progress=lambda *each: steps.append(each))
     assert path == folder / "my scene.ply"
     assert path.read_bytes() == (root / "my scene.ply").read_bytes()
     size = path.stat().st_size
-    assert told[0] == ("fetching", 0, size)
-    assert told[-1] == ("fetching", size, size)
+    assert steps[0] == ("fetching", 0, size)
+    assert steps[-1] == ("fetching", size, size)
 
 
 def test_of_a_streamed_scene_one_level_comes(host: tuple[str, Path], folder: Path) -> None:

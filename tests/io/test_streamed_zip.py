@@ -82,6 +82,18 @@ def test_commands_read_it_and_leave_nothing(
     assert list((tmp_path / "temporary").iterdir()) == []
 
 
+def test_export_never_replaces_the_zip_that_it_reads(
+    streamed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "city.zip"
+    pack_streamed(streamed, path)
+    before = path.read_bytes()
+    words = ["export", str(path), "-o", f"{tmp_path}/./city.zip", "--format", "streamed-sog", "--overwrite"]
+    assert main(words) == 2
+    assert "--out: expected another file than SCENE" in capsys.readouterr().err
+    assert path.read_bytes() == before
+
+
 def test_export_writes_one_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "rooms.ssog"
     words = ["export", "builtin:two_rooms", "-o", str(out), "--format", "streamed-sog", "--leaf", "65536"]
