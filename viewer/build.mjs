@@ -61,7 +61,7 @@ if (process.argv.includes("--tests")) {
       static: join(here, "src/core/static.worker.ts"),
       page: join(here, "src/page/index.ts"),
       xr: join(here, "src/core/xr.ts"),
-      tour: join(here, "src/page/tour.ts"),
+      tour: join(here, "src/page/timeline.ts"),
       hotspots: join(here, "src/page/hotspots.ts"),
       author: join(here, "src/page/author.ts"),
       embed: join(here, "src/embed/answer.ts"),

@@ -22,7 +22,7 @@ export interface ScenePick {
     weight: number;
     opacity: number;
 }
-/** The element. Its events are `ready`, `progress`, `pose`, `pick`, `hotspot` and `error`, with a `detail` each. */
+/** The element. Its events are `ready`, `progress`, `pose`, `pick`, `hotspot`, `animation` and `error`, with a `detail` each. */
 export declare class GsvisViewerElement extends HTMLElement {
     #private;
     static readonly observedAttributes: readonly string[];
@@ -60,6 +60,11 @@ export declare class GsvisViewerElement extends HTMLElement {
     pick(x: number, y: number): Promise<ScenePick | null>;
     /** Return the picture as PNG. Needs the trust of the page. */
     screenshot(): Promise<Blob>;
+    /** Play the animation of the settings, from where it is. */
+    play(): Promise<void>;
+    pause(): Promise<void>;
+    /** Go to a second of the animation; it plays on if it plays. */
+    seek(seconds: number): Promise<void>;
     /** Show another page or scene; resolves with its first picture. */
     load(src: string): Promise<void>;
 }

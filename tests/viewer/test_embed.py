@@ -18,6 +18,7 @@ from gsvis.scene.procedural import two_rooms
 from tests.serve.servers import PATIENCE, serving
 from tests.stream.worlds import package_of
 from tests.viewer.browser import chromium, page_in, viewer_files
+from tests.viewer.page_server import TOUR
 
 pytestmark = pytest.mark.slow
 WAIT = 1000 * PATIENCE
@@ -31,7 +32,7 @@ addEventListener("message", ({ data }) => messages.push(data));
 window.show = (attributes) => {
     const element = document.createElement("gsvis-viewer");
     for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
-    for (const name of ["ready", "progress", "pose", "pick", "hotspot", "error"])
+    for (const name of ["ready", "progress", "pose", "pick", "hotspot", "animation", "error"])
         element.addEventListener(name, ({ detail }) => heard.push([name, detail]));
     document.body.append(element);
     window.scene = element;
@@ -115,12 +116,32 @@ def test_a_page_of_another_origin_flies_hears_and_projects_and_may_not_read(brow
         wait(page, "heard.findLast(([name]) => name === 'pose')[1].eye[0] === 2")
         page.evaluate("scene.eye = [1.5, 1, 1.4]")
         wait(page, "Math.abs(heard.findLast(([name]) => name === 'pose')[1].eye[0] - 1.5) < 1e-6")
+        assert "this page has none" in page.evaluate("why(scene.play())")
         for asked in ("scene.screenshot()", "scene.pick(200, 120)"):
             assert "may read the scene" in page.evaluate(f"why({asked})")
         page.frames[1].locator("canvas").first.click(position={"x": 200, "y": 120})
         assert "view: expected" in page.evaluate("why(scene.flyTo({eye: [1, 2], to: 3}))")
         assert "pick" not in page.evaluate("names()")
         assert [line for line in said if "favicon" not in line and "404" not in line] == []
+
+
+def test_a_page_around_it_plays_seeks_and_pauses_the_animation(browser: Any, pages: Any) -> None:
+    site, other = pages
+    with page_in(browser, f"{other}/index.html", **SMALL) as (page, _):
+        page.route("**/tour.json", lambda route: route.fulfill(json=TOUR, headers={"access-control-allow-origin": "*"}))
+        page.evaluate("args => show(args)", {"src": f"{site}/?settings=tour.json&noanim#{VIEW}", "noui": ""})
+        wait(page, "heard.some(([name]) => name === 'animation')")
+        first = page.evaluate("heard.find(([name]) => name === 'animation')[1]")
+        assert first == {"playing": False, "seconds": 0, "duration": 8, "loops": "repeat"}
+        wait(page, "names().includes('ready')")
+        page.evaluate("scene.seek(2)")
+        wait(page, "heard.findLast(([name]) => name === 'animation')[1].seconds === 2")
+        wait(page, "Math.abs(heard.findLast(([name]) => name === 'pose')[1].eye[0] - 5) < 1e-6")
+        page.evaluate("scene.play()")
+        wait(page, "(([, now]) => now.playing && now.seconds > 2)(heard.findLast(([name]) => name === 'animation'))")
+        page.evaluate("scene.pause()")
+        wait(page, "!heard.findLast(([name]) => name === 'animation')[1].playing")
+        assert "seconds: expected" in page.evaluate("why(scene.seek('x'))")
 
 
 def test_an_embedder_that_the_site_names_reads_pictures_and_picks(browser: Any, pages: Any) -> None:

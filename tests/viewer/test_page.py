@@ -507,7 +507,7 @@ def test_axe_finds_nothing_and_nothing_is_wider_than_the_window(visit: Open, siz
     options: dict[str, Any] = {"color_scheme": scheme, "bypass_csp": True}
     if size == "phone":
         options |= {"has_touch": True, "is_mobile": True}
-    page = visit(f"{ROOM}?settings=settings.json", size=size, **options)
+    page = visit(f"{ROOM}?settings=tour.json&noanim", size=size, **options)
     page.evaluate(axe.read_text())
     for show in ("scene", "statistics", "options", "why", "help", "failed"):
         arrange(page, show)

@@ -43,15 +43,15 @@ test("a path is at each view at its time, ends with the last one, or comes back 
   for (const loops of [false, true]) {
     const tour = readTour({ ...draft, animTracks: [trackOf(draft.cameras, 3, loops)] });
     POSES.forEach(([eye, to], k) => {
-      const found = tour(Math.abs(3 * k - 1e-9))!;
+      const found = tour.at(Math.abs(3 * k - 1e-9))!;
       for (const [a, b] of [[found.eye, eye], [found.to, to]]) a.forEach((x, i) => assert.ok(Math.abs(x - b[i]) < 1e-4));
     });
-    assert.equal(tour(9.5) === null, !loops);
+    assert.equal(tour.at(9.5) === null, !loops);
   }
 });
 
 test("a path of the scene's frame is turned with the rest", () => {
   const track = { ...trackOf(draftOf(SCENE, 1).cameras, 3, false) }, own = { ...SCENE, animTracks: [track] };
-  const turned = draftOf(own, 1), [before, after] = [readTour(own)(1.5)!, readTour(turned)(1.5)!];
+  const turned = draftOf(own, 1), [before, after] = [readTour(own).at(1.5)!, readTour(turned).at(1.5)!];
   for (const key of ["eye", "to"] as const) before[key].forEach((x, i) => assert.ok(Math.abs(x - after[key][i]) < 1e-6));
 });

@@ -275,16 +275,23 @@ const tourOf = (changes: object = {}, more: object = {}): Tour =>
 
 test("a camera passes through the keys of its track, and ends as the track says", () => {
   const tour = tourOf();
-  assert.deepEqual(tour(0), { eye: [0, 0, 0], to: [0, 5, 0], fov: 60 });
-  assert.deepEqual(tour(1), { eye: [1, 2, 3], to: [0, 5, 0], fov: 70 });
-  assert.deepEqual(tour(4), { eye: [4, 0, 0], to: [0, 5, 0], fov: 120 });
-  assert.equal(tour(4.01), null);
+  assert.deepEqual(tour.at(0), { eye: [0, 0, 0], to: [0, 5, 0], fov: 60 });
+  assert.deepEqual(tour.at(1), { eye: [1, 2, 3], to: [0, 5, 0], fov: 70 });
+  assert.deepEqual(tour.at(4), { eye: [4, 0, 0], to: [0, 5, 0], fov: 120 });
+  assert.equal(tour.at(4.01), null);
   const there = tourOf({ loopMode: "pingpong" });
-  for (const [late, early] of [[5, 3], [7.5, 0.5], [9, 1]]) assert.deepEqual(there(late), there(early));
+  for (const [late, early] of [[5, 3], [7.5, 0.5], [9, 1]]) assert.deepEqual(there.at(late), there.at(early));
   const round = tourOf({ loopMode: "repeat" });
-  assert.deepEqual(round(5), round(1));
-  assert.deepEqual(round(1)!.eye, [1, 2, 3]);
-  assert.deepEqual(tourOf({ interpolation: "step" })(3.9)!.eye, [1, 2, 3]);
+  assert.deepEqual(round.at(5), round.at(1));
+  assert.deepEqual(round.at(1)!.eye, [1, 2, 3]);
+  assert.deepEqual(tourOf({ interpolation: "step" }).at(3.9)!.eye, [1, 2, 3]);
+});
+
+test("a track says its length, how it ends, and which of its seconds is shown", () => {
+  assert.deepEqual([tourOf().duration, tourOf({ loopMode: "for ever" }).loops], [4, "none"]);
+  assert.deepEqual([3, 4, 4.5].map(tourOf().second), [3, 4, null]);
+  assert.deepEqual([3, 4, 4.5].map(tourOf({ loopMode: "repeat" }).second), [3, 0, 0.5]);
+  assert.deepEqual([3, 4, 4.5, 8].map(tourOf({ loopMode: "pingpong" }).second), [3, 4, 3.5, 0]);
 });
 
 test("curves are straight where keys lie evenly on a line, and have no corner at a key", () => {
@@ -303,7 +310,7 @@ test("tracks of version 1: the frame is turned, times without a rate are seconds
   const tour = readTour({
     camera: { fov: 50, animTrack: "round" }, animTracks: [{ ...TRACK, name: "other", duration: 1 }, { ...bare, keyframes }],
   });
-  assert.deepEqual(tour(1), { eye: [-1, -2, 3], to: [-0, -5, 0], fov: 50, longer: true });
+  assert.deepEqual(tour.at(1), { eye: [-1, -2, 3], to: [-0, -5, 0], fov: 50, longer: true });
 });
 
 test("a track that makes no sense is refused in one line", () => {

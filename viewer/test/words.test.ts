@@ -33,7 +33,7 @@ test("every language has the same texts with the same values, and a form for eac
 test("every text is used, and its key is in the source as it is, or with a value for a part of it", () => {
   const sources = [...sourcesOf(PAGE), ...["view", "list"].map((name) => join(PAGE, `${name}.html`))]
     .map((path) => readFileSync(path, "utf8")).join("\n");
-  const patterns = [...sources.matchAll(/text\(`([^`]*)`\)/g)].map(([, template]) =>
+  const patterns = [...sources.matchAll(/text(?:OfPage)?\(`([^`]*)`\)/g)].map(([, template]) =>
     new RegExp(`^${template.replaceAll(/\$\{[^}]*\}/g, "\\w+").replaceAll(".", "\\.")}$`));
   for (const key of Object.keys(read("en"))) {
     assert.ok(

@@ -10,7 +10,7 @@ import { offer } from "../page/parts.ts";
 import { project } from "../page/project.ts";
 import { budgetOf, qualityOf } from "../page/quality.ts";
 import { FOV_DEGREES } from "../page/rig.ts";
-import type { Look, Stage } from "../page/stage.ts";
+import type { Look, Player, Stage } from "../page/stage.ts";
 import { clamp, distance } from "../page/vector.ts";
 import type { Vec3 } from "../page/vector.ts";
 import { messageOf } from "./protocol.ts";
@@ -88,7 +88,19 @@ class Voice {
       pick: (x, y) => read(() => stage.find(Number(x), Number(y))),
       screenshot: () => read(() => stage.picture()),
       load: (address) => open(String(address), stage),
+      play: () => this.#player.play(),
+      pause: () => this.#player.pause(),
+      seek: (seconds) => {
+        if (typeof seconds !== "number" || !Number.isFinite(seconds)) throw new Error("seconds: expected a number");
+        this.#player.seek(seconds);
+      },
     };
+  }
+
+  get #player(): Player {
+    const player = this.stage.player();
+    if (!player) throw new Error("expected an animation (animTracks in settings.json): this page has none");
+    return player;
   }
 
   #show(options: Record<string, unknown>): void {
@@ -105,6 +117,11 @@ class Voice {
     const { state, gaussians, of, up, mode } = now;
     this.#renew("pose", { eye, to, fov, up, mode });
     this.#renew("progress", { state, gaussians, of, share: of ? gaussians / of : 0 });
+    const player = this.stage.player();
+    if (player) {
+      const { playing, seconds, duration, loops } = player;
+      this.#renew("animation", { playing, seconds, duration, loops });
+    }
     if (now.drawn) this.#renew("ready", { name: this.stage.name, gaussians: of, up });
     if (state === "failed" || (state === "waiting" && !of)) this.#renew("error", { message: now.message });
   }

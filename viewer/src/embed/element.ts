@@ -37,7 +37,7 @@ const SHOWN = ["mode", "noui", "quality", "budget"];
 const ALLOWED = "fullscreen; xr-spatial-tracking; clipboard-write; gamepad";
 const LONGEST_MS = 30_000; // until a question without an answer fails
 
-/** The element. Its events are `ready`, `progress`, `pose`, `pick`, `hotspot` and `error`, with a `detail` each. */
+/** The element. Its events are `ready`, `progress`, `pose`, `pick`, `hotspot`, `animation` and `error`, with a `detail` each. */
 export class GsvisViewerElement extends HTMLElement {
   static readonly observedAttributes: readonly string[] = ATTRIBUTES;
   readonly #frame = document.createElement("iframe");
@@ -121,6 +121,20 @@ export class GsvisViewerElement extends HTMLElement {
   /** Return the picture as PNG. Needs the trust of the page. */
   screenshot(): Promise<Blob> {
     return this.#ask("screenshot") as Promise<Blob>;
+  }
+
+  /** Play the animation of the settings, from where it is. */
+  play(): Promise<void> {
+    return this.#ask("play") as Promise<void>;
+  }
+
+  pause(): Promise<void> {
+    return this.#ask("pause") as Promise<void>;
+  }
+
+  /** Go to a second of the animation; it plays on if it plays. */
+  seek(seconds: number): Promise<void> {
+    return this.#ask("seek", seconds) as Promise<void>;
   }
 
   /** Show another page or scene; resolves with its first picture. */

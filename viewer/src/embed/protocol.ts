@@ -19,7 +19,7 @@ export interface Answer {
 /** What happens in a page. `here` says that it listens; every other one follows the question `listen`. */
 export interface PageEvent {
   gsvis: "event";
-  name: "here" | "ready" | "progress" | "pose" | "pick" | "hotspot" | "error";
+  name: "here" | "ready" | "progress" | "pose" | "pick" | "hotspot" | "animation" | "error";
   detail: unknown;
 }
 

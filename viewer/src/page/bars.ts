@@ -68,7 +68,7 @@ export class Dock {
       targets.mode, targets.setMode,
     );
     this.views.append(actionButton(actions, "previous"), this.#label, actionButton(actions, "next"));
-    this.element.append(this.#modes.element, actionButton(actions, "home"), actionButton(actions, "play"), this.views);
+    this.element.append(this.#modes.element, actionButton(actions, "home"), this.views);
   }
 
   refresh(): void {

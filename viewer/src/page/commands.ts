@@ -25,7 +25,6 @@ export interface Commands {
   stepView(by: number): void;
   nextMode(): void;
   animated(): boolean;
-  playing(): boolean;
   togglePlaying(): void;
   toggleTheme(): void;
   toggleBare(): void;
@@ -64,7 +63,7 @@ export function defineActions(actions: Actions, page: Commands): void {
     },
     { id: "next", label: text("action.next"), key: ".", icon: "next", available: several, run: () => page.stepView(1) },
     {
-      id: "play", label: text("action.play"), key: "k", icon: "play", available: page.animated, pressed: page.playing,
+      id: "play", label: text("action.play"), key: "k", icon: "play", available: page.animated,
       run: page.togglePlaying,
     },
     { id: "mode", label: text("action.mode"), key: "m", run: page.nextMode },

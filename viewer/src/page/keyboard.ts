@@ -86,6 +86,7 @@ export class Keyboard {
     else if (onScene && (event.key === "+" || event.key === "=")) targets.zoom(1 / 1.25);
     else if (onScene && event.key === "-") targets.zoom(1.25);
     else if (onScene && event.key === "Enter") targets.pickCenter();
+    else if (onScene && event.key === " ") targets.actions.run("play");
     else {
       const action = targets.actions.find(event.key);
       if (!action) return false;

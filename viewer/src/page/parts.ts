@@ -1,12 +1,11 @@
 // Loads scripts that only some pages need. A page in one file holds them beside its own, and cannot import them.
 
-import type { Stage } from "./stage.ts";
-import type { Tour } from "./tour.ts";
+import type { Player, Stage } from "./stage.ts";
 import type { Key, Values, Words } from "./words.ts";
 
 /** What each script offers. */
 interface Parts {
-  tour(settings: unknown): Tour;
+  tour(stage: Stage, settings: unknown): Player;
   hotspots(stage: Stage, settings: unknown): HTMLElement;
   author(stage: Stage): HTMLElement;
   embed(stage: Stage, embedders: readonly string[]): void;

@@ -5,6 +5,7 @@ import type { Permit } from "./address.ts";
 import type { View } from "./hash.ts";
 import type { Mode } from "./navigator.ts";
 import type { Quality } from "./quality.ts";
+import type { Loops } from "./tour.ts";
 import type { Vec3 } from "./vector.ts";
 import type { Pick } from "./viewer-like.ts";
 
@@ -20,15 +21,35 @@ export interface Look {
   gaussians: number; // on the graphics card
   of: number; // in the scene; 0 until that is known
   drawn: boolean; // a first picture was shown
+  led: boolean; // an animation leads the view
+}
+
+/** Leads the view along the animation of the settings. */
+export interface Player {
+  readonly bar: HTMLElement; // its controls
+  readonly playing: boolean;
+  readonly seconds: number; // that are shown
+  readonly duration: number; // seconds, one way
+  readonly loops: Loops;
+  /** Go on from where it is, from the start where it has ended. */
+  play(): void;
+  pause(): void;
+  /** Go to a second; it plays on if it plays. */
+  seek(seconds: number): void;
 }
 
 export interface Stage {
   name: string; // of the scene
+  visitor: boolean; // nothing that is for engineers
   permits: Permit; // which addresses the page may open
   look(): Look;
   /** Fly to a view; jump there where `now`. */
   go(view: View, now?: boolean): void;
   turn(mode: Mode): void;
+  /** Let a track lead the view, by the seconds since its last one, until it ends or somebody moves; null ends it. */
+  lead(track: ((seconds: number) => View | null) | null): void;
+  /** Return what plays the animation; null without one. */
+  player(): Player | null;
   find(x: number, y: number): Promise<Pick | null>;
   picture(): Promise<Blob>;
   /** Draw with a preset, and at most so many Gaussians where that is not null. */

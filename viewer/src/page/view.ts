@@ -32,10 +32,9 @@ import { factsOf, holdPoses, rest } from "./scene.ts";
 import { readSettings } from "./settings.ts";
 import type { Settings } from "./settings.ts";
 import { Side } from "./side.ts";
-import type { Stage } from "./stage.ts";
+import type { Player, Stage } from "./stage.ts";
 import { StatisticsCard } from "./statistics.ts";
 import { ThemeChoice } from "./theme.ts";
-import type { Tour } from "./tour.ts";
 import { frameFromUp } from "./vector.ts";
 import type { Vec3 } from "./vector.ts";
 import type { PageCamera, ViewerLike, ViewerOptions } from "./viewer-like.ts";
@@ -66,8 +65,7 @@ export class ViewPage {
   #said: unknown = null; // settings as they were read
   #author: HTMLElement | null = null;
   #takeClick: (x: number, y: number) => boolean = () => false;
-  #tour: Tour | null = null;
-  #toured = 0; // seconds of it that were shown
+  #player: Player | null = null;
   #ready: Promise<unknown>;
   #views: View[] = [];
   #view = 0;
@@ -176,8 +174,23 @@ export class ViewPage {
   async #apply(said: unknown): Promise<void> {
     this.#settings = readSettings(said);
     this.#said = said;
-    this.#tour = this.#settings.animated ? (await part("tour"))(said) : null;
+    await this.#showTimeline(said);
     if (this.#settings.spots || this.#root.querySelector(".spots")) void this.#showSpots(said);
+  }
+
+  /** Show the controls of an animation; where one of earlier settings plays, the new one plays on. */
+  async #showTimeline(settings: unknown): Promise<void> {
+    const before = this.#player, playing = before?.playing === true;
+    const player = this.#settings.animated ? (await part("tour"))(this.stage, settings) : null;
+    before?.pause();
+    before?.bar.remove();
+    this.#player = player;
+    if (!player) return;
+    this.#dock.element.before(player.bar);
+    if (before && playing) {
+      player.seek(before.seconds);
+      player.play();
+    }
   }
 
   async #showSpots(settings: unknown): Promise<void> {
@@ -322,7 +335,7 @@ export class ViewPage {
     this.#setMode(mode);
     this.#start = begin("", this.#settings.views, this.#navigator.frame, this.#surroundings).rig;
     if (first.problem) this.#notices.say(first.problem);
-    if (plays) this.#play();
+    if (plays) this.#player?.play();
     if (this.page.authors) void this.#toggleAuthor();
   }
 
@@ -458,7 +471,7 @@ export class ViewPage {
   get stage(): Stage {
     const navigator = this.#navigator;
     return {
-      name: this.scene.name, permits: this.page.permits,
+      name: this.scene.name, visitor: this.page.visitor, permits: this.page.permits,
       look: () => {
         const { shown, frame, mode } = navigator, { state, gaussians, firstImageSeconds } = this.#viewer?.statistics ?? {};
         return {
@@ -466,9 +479,18 @@ export class ViewPage {
           width: this.#canvas.clientWidth, height: this.#canvas.clientHeight, state: state?.kind ?? "connecting",
           message: state && "message" in state ? String(state.message) : "", gaussians: gaussians ?? 0,
           of: this.#header?.gaussians ?? 0, drawn: firstImageSeconds !== null && firstImageSeconds !== undefined,
+          led: navigator.track !== null,
         };
       },
       go: (view, now) => this.#goToPlace(view, now), turn: (mode) => this.#setMode(mode),
+      lead: (track) => {
+        navigator.track = track && ((seconds) => {
+          const view = track(seconds);
+          return view && rigFromView(view, navigator.frame);
+        });
+        this.#drive.wake();
+      },
+      player: () => this.#player,
       find: async (x, y) => (await this.#viewer?.pick(x, y)) ?? null,
       picture: () => this.#viewer?.screenshot() ?? Promise.reject(new Error(text("say.undrawn"))),
       settings: () => this.#said, clicks: (take) => void (this.#takeClick = take),
@@ -528,20 +550,6 @@ export class ViewPage {
     this.#drive.wake();
   }
 
-  /** Follow the animation from where it was left, until it ends or somebody moves. */
-  #play(): void {
-    const tour = this.#tour, { navigator } = this.#drive;
-    if (!tour) return;
-    if (navigator.mode === "walk") this.#setMode("fly"); // tracks know no floor
-    navigator.track = (seconds) => {
-      const view = tour((this.#toured += seconds));
-      if (view) return rigFromView(view, navigator.frame);
-      this.#toured = 0;
-      return null;
-    };
-    this.#drive.wake();
-  }
-
   async #goTo(x: number, y: number): Promise<void> {
     const pick = await this.#viewer?.pick(x, y);
     if (!pick) return;
@@ -598,11 +606,10 @@ export class ViewPage {
       views: () => this.#views.length,
       stepView: (by) => this.#goToView((this.#view + by + this.#views.length) % Math.max(this.#views.length, 1)),
       nextMode: () => this.#setMode(MODES[(MODES.indexOf(this.#navigator.mode) + 1) % MODES.length]),
-      animated: () => this.#tour !== null,
-      playing: () => this.#navigator.track !== null,
+      animated: () => this.#player !== null,
       togglePlaying: () => {
-        if (this.#navigator.track) this.#navigator.track = null;
-        else this.#play();
+        if (this.#player?.playing) this.#player.pause();
+        else this.#player?.play();
       },
       toggleTheme: () => {
         this.#theme.choose(this.#theme.dark ? "light" : "dark");
