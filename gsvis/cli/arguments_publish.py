@@ -57,9 +57,14 @@ class Prepare:
     lod: Lod = None
     """Level of detail of a streamed scene to start from; 0 is the finest."""
     where: Annotated[Shown, with_help(show=IN_DOUBT)] = Shown()
-    training: Levels = Levels()
+    training: Annotated[
+        Levels,
+        with_help(photos="Photographs to train levels and colors on, with the model that SCENE was trained from."),
+    ] = Levels()
     sets: MendedSets = MendedSets()
     fit: FilteredFit = FilteredFit()
+    color_steps: Annotated[int | None, readers.WHOLE, hint("300 with --photos, else 0")] = None
+    """Steps of learning, one view each: photographs, or renders of SCENE without --photos; 0 keeps the fit."""
     meters_per_unit: Annotated[Units, hint("that of SCENE, or not known")] = None
     """Length of a scene unit in meters, kept in the package."""
     seed: Seed = 0

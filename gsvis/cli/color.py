@@ -37,11 +37,10 @@ if TYPE_CHECKING:
     from gsvis.prepare.scene_colors import ColorOutputs
     from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["fit_config", "run_color"]
+__all__ = ["fit_config", "learned_rows", "run_color"]
 
 _HELD_OUT = 1  # stream of random numbers of the held-out views; that of the fit is 0
 _FOV = 60.0
-_STEPS = 300  # of learning from photographs
 _SILENT = ("max_memory", "json", "debug", "drop_invalid")
 
 
@@ -188,12 +187,20 @@ def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
     return fitted
 
 
+def learned_rows(learned: dict[str, Any] | None) -> list[tuple[str, str]]:
+    """Return the row of a table about learned colors, from `Learned.as_dict`; none without held-out images."""
+    if not learned or not learned["psnr"]:
+        return []
+    named = {name: f"{each['mean']:.2f}" for name, each in learned["psnr"].items()}
+    text = f"{named['learned']} dB after learning, {named['fitted']} fitted, {named['sh']} by SH"
+    return [(f"{learned['held_out']} held-out {learned['from']}", text)]
+
+
 def _steps(command: Color) -> int:
     """Return the number of steps of learning."""
-    asked = command.learning.color_steps
-    if asked is not None:
-        return asked
-    return 0 if command.learning.photos is None else _STEPS
+    from gsvis.prepare.learned_colors import steps_of_learning
+
+    return steps_of_learning(command.learning.color_steps, photos=command.learning.photos is not None)
 
 
 def _lesson(command: Color, plan: _Plan, status: Status) -> Lesson | None:
@@ -351,11 +358,7 @@ def _rows(command: Color, source: Source, document: dict[str, Any]) -> list[tupl
     ]
     if document["epsilon"]:
         rows.append(("epsilon", _epsilon(document["epsilon"])))
-    learned = document["learned"]
-    if learned and learned["psnr"]:
-        named = {name: f"{each['mean']:.2f}" for name, each in learned["psnr"].items()}
-        text = f"{named['learned']} dB after learning, {named['fitted']} fitted, {named['sh']} by SH"
-        rows.append((f"{learned['held_out']} held-out {learned['from']}", text))
+    rows += learned_rows(document["learned"])
     cells = document["active_in_cells"]
     if cells:
         share = cells["share_of_all"]

@@ -9,10 +9,11 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Prepare
 from gsvis.cli.asking import settle_space
-from gsvis.cli.color import fit_config
+from gsvis.cli.color import fit_config, learned_rows
 from gsvis.cli.levels import (
     SHARES,
     check_views,
@@ -122,6 +123,8 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
     check_source(command.scene, command.lod)
     check_exists(command.training.photos)
     _check_training(command)
+    if _steps(command):
+        require("gsvis prepare --color-steps", "torch")
     check_folder(Path(command.out).absolute().parent)
     check_target(Path(command.out))  # before reading a large scene; `prepare_package` checks again
     WorkFolder(command.out).check()
@@ -141,12 +144,14 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
         join_cells=command.join_cells,
         sets=config_of(PvsConfig, command.sets, size=command.sets.face_size),
         colors=ColorConfig(fit_config(command.fit), replace(ColorConfig.views, seed=command.seed)),
+        color_steps=command.color_steps,
         epsilon=command.fit.epsilon or PrepareConfig.epsilon,
         epsilon_from="given" if command.fit.epsilon else PrepareConfig.epsilon_from,
         meters_per_unit=command.meters_per_unit or 0.0,
     )
     images = image_bytes(sampling, PrepareConfig.level_held_out) if command.training.photos is None else 0
-    if command.training.photos is not None and command.work.max_memory is not None and levels is not None:
+    uses_photos = levels is not None or _steps(command) > 0
+    if command.training.photos is not None and command.work.max_memory is not None and uses_photos:
         from gsvis.train.photos import photo_bytes
 
         images = photo_bytes(command.training.photos, size)
@@ -157,13 +162,23 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
 
 def _check_training(command: Prepare) -> None:
     """Raise if options of training are given but no level will be trained, or if they conflict."""
-    names = ("levels", "reuse", "names", "preview", "steps", "views", "width", "height", "photos")
+    names = ["levels", "reuse", "names", "preview", "steps", "views"]
+    images = ["width", "height", "photos"]
+    if not _steps(command):
+        names += images
     if is_levels(command.scene):
         refuse(command.training, names, "for a folder of levels, which are taken as they are")
     if not command.training.levels:
         refuse(command.training, names[1:], "with --levels none")
     if command.training.photos is not None:
         refuse(command.training, ["views"], "with --photos")
+
+
+def _steps(command: Prepare) -> int:
+    """Return the number of steps of learning colors."""
+    from gsvis.prepare.learned_colors import steps_of_learning
+
+    return steps_of_learning(command.color_steps, photos=command.training.photos is not None)
 
 
 class _Progress:
@@ -244,6 +259,7 @@ def _print_result(
         ("where eyes may be", f"{space.rule}, {spell_volume(space.volume, meters)}"),
         ("up", f"{_axis(m.info.up)}; " + (f"{meters:g} meters a unit" if meters else "meters a unit not known")),
         ("terms", f"{m.terms:,}, variant {m.grids.variant}"),
+        *learned_rows(prepared.learned),
     ]
     if cost is not None:
         text = f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}, in {cost.views} views of {cost.width} x {cost.height}"
@@ -304,6 +320,7 @@ def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]]
         "certificates": None if prepared.certificates is None else prepared.certificates.as_dict(),
         "traced_twice": prepared.traced_twice,
         "judged": prepared.judged,
+        "learned": prepared.learned,
         "joined": [asdict(each) for each in prepared.joined],
         "parts": prepared.parts,
         "parts_kept": prepared.parts_kept,

@@ -40,6 +40,8 @@ class PrepareConfig:
         join_cells: Whether cells are joined until the visible sets are about a fifth of the package.
         sets: Options of the visible sets.
         colors: Options of the colors.
+        color_steps: Steps of learning colors, after the fit, from photos or else from renders; 0 keeps the fit. None
+            is 300 with photos and 0 without.
         epsilon: Largest change of an RGB channel, in (0, 1], by a term that may be left out of a cell.
         epsilon_from: Source of epsilon, in words.
         cost_views: Views that measure the cost of rounding.
@@ -59,6 +61,7 @@ class PrepareConfig:
     join_cells: bool = False
     sets: PvsConfig = field(default_factory=PvsConfig)
     colors: ColorConfig = field(default_factory=ColorConfig)
+    color_steps: int | None = None
     epsilon: float = DEFAULT_EPSILON
     epsilon_from: str = "the default: FLIP as observer on two scenes"
     cost_views: ViewSampling = _COST_VIEWS
@@ -69,6 +72,8 @@ class PrepareConfig:
         if self.cells is not None and _check.positive_int("cells", self.cells) > MAX_CELLS:
             raise ValueError(f"cells: expected at most {MAX_CELLS:,}, got {self.cells:,}; make them larger")
         _check.positive_int("level_held_out", self.level_held_out, at_least=0)
+        if self.color_steps is not None:
+            _check.positive_int("color_steps", self.color_steps, at_least=0)
         if self.cell_size is not None and not (np.isfinite(self.cell_size) and self.cell_size > 0):
             raise ValueError(f"cell_size: expected a finite number > 0 or None, got {self.cell_size!r}")
         if not 0.0 < self.epsilon <= 1.0:

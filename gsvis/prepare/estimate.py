@@ -235,6 +235,9 @@ class _Estimator:
                 self.found.append(StageEstimate("colors", "done", what, 0.0, path.stat().st_size))
                 return exact
         seconds = self.trial.colors(self.union)
+        if stages.color_steps:
+            seconds += self.trial.learning(stages.color_steps, photos=stages.photos is not None)
+            what += f"; {stages.color_steps:,} steps of learning"
         self.found.append(StageEstimate("colors", "to do", what, seconds, nbytes))
         return None
 

@@ -26,13 +26,14 @@ from gsvis.train.images import PosedImages, render_views
 if TYPE_CHECKING:
     from gsvis.train.colors import LearnConfig
 
-__all__ = ["RENDERS", "Learned", "Lesson", "draw_lesson", "learn_lesson", "read_lesson"]
+__all__ = ["RENDERS", "Learned", "Lesson", "draw_lesson", "learn_lesson", "read_lesson", "steps_of_learning"]
 
 F64 = NDArray[np.float64]
 
 RENDERS = ViewSampling(256, 320, 240, stream=3)
 """Views to learn from without photographs; streams 0 to 2 are those of the fit, of held-out views and of epsilon."""
 
+_STEPS = 300  # with photographs, unless somebody asks for another number
 _GAINED = 0.05  # dB in the mean below which learning is said to have gained nothing
 
 
@@ -88,11 +89,19 @@ class Learned:
         return f"Learning from {self.named} changed held-out views by {gain:+.2f} dB{wrong}."
 
 
+def steps_of_learning(asked: int | None, *, photos: bool) -> int:
+    """Return the steps of learning colors: as asked, or else 300 with photographs and 0 without."""
+    if asked is not None:
+        return asked
+    return _STEPS if photos else 0
+
+
 def read_lesson(
     g: Gaussians,
     photos: str | os.PathLike[str],
     steps: int,
     *,
+    size: tuple[int, int] | None = None,
     downscale: float | None = None,
     seed: int = 0,
     progress: Progress = silent,
@@ -103,7 +112,8 @@ def read_lesson(
         g: The scene, trained from the same reconstruction.
         photos: Folder of a COLMAP model or a `transforms.json` with its images.
         steps: Steps of learning.
-        downscale: Factor to shrink the photographs by.
+        size: Pixels (width, height) to shrink the photographs to; None keeps their size.
+        downscale: Factor to shrink the photographs by instead.
         seed: Seed of the order of photographs.
         progress: Called with stage "photos".
 
@@ -113,7 +123,7 @@ def read_lesson(
     from gsvis.train.colors import LearnConfig
     from gsvis.train.level_views import load_photograph_views
 
-    read = load_photograph_views(g, photos, downscale=downscale, progress=progress)
+    read = load_photograph_views(g, photos, size, downscale=downscale, progress=progress)
     return Lesson(read.views, read.held_out, "photographs", LearnConfig(steps=steps, seed=seed)), read.remarks
 
 

@@ -76,6 +76,11 @@ class Prepared:
     judged: dict[str, Any] | None = None
     joined: tuple[JoinedCells, ...] = ()
 
+    @property
+    def learned(self) -> dict[str, Any] | None:
+        """What learning colors after the fit gained, see `StageColors`; None without learning."""
+        return self.manifest.info.provenance.get("learned_colors")
+
 
 def prepare_package(
     scene: Gaussians | Levels,
@@ -99,7 +104,8 @@ def prepare_package(
             Work kept between runs lies beside it, in `scene.gsvis.work`.
         space: The navigable space, scene frame and units; its up axis becomes that of the package.
         config: Options; None means `PrepareConfig()`.
-        photos: Photos with their cameras, to train levels on; None trains on renders of the scene.
+        photos: Photos with their cameras, to train levels and learn colors on; None trains levels on renders of the
+            scene.
         about: JSON values to store in the provenance of the package.
         workers: The workers that build visible sets; None means this process.
         progress: Called with the stages "order", or "views" or "photos", "prune", "train NAME" and "measure"; then with
@@ -151,7 +157,8 @@ def finish_package(
         levels, quality = stages.levels()
         sets = stages.sets(levels, workers)
         with VisibilityStore.open(sets, scene=levels.union) as store:
-            exact, directions = stages.colors(levels, store)
+            colors = stages.colors(levels, store)
+            exact = colors.exact
             packed = quantize(exact, "wire", reach=stages.reach)
             cost = stages.cost(levels, exact, packed)
             shipped = stages.shipped_sets(store)
@@ -162,7 +169,8 @@ def finish_package(
             twice = store.info.config.get("traced_twice")
         began = time.perf_counter()
         views = describe_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
-        found = {"levels": quality, "directions": directions, "views": views, "judged": judged}
+        found = {"levels": quality, "directions": colors.directions, "views": views, "judged": judged}
+        found |= {} if colors.learned is None else {"learned_colors": colors.learned}
         provenance = {**(about or {}), "config": config.as_dict(), **found}
         info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity, config.epsilon)
         with write_package(target, levels, packed, info=info, visibility=shipped, progress=stages.progress) as package:

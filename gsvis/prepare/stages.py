@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from gsvis.color.records import QuantizedColors
+from gsvis.color.records import QuantizedColors, quantize
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf, save_srbf, srbf_info
 from gsvis.errors import FormatError
@@ -36,6 +36,7 @@ from gsvis.package.cell_terms import CellTerms
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.judged import judge_tile, small_views
+from gsvis.prepare.learned_colors import Learned, draw_lesson, learn_lesson, read_lesson, steps_of_learning
 from gsvis.prepare.levels import make_levels
 from gsvis.prepare.memory import left_for_sets
 from gsvis.prepare.surroundings import Surroundings
@@ -53,7 +54,7 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.level_views import LevelViews, draw_views, load_photograph_views
 
-__all__ = ["VERSIONS", "StageRecord", "Stages", "around_of"]
+__all__ = ["VERSIONS", "StageColors", "StageRecord", "Stages", "around_of"]
 
 VERSIONS = {"levels": 6, "sets": 3, "joined": 1, "colors": 2, "cost": 2, "fidelity": 3, "judged": 3}
 """Version of the results of each stage; increase it when they change."""
@@ -74,6 +75,21 @@ class StageRecord:
     seconds: float
 
 
+@dataclass(frozen=True, eq=False)
+class StageColors:
+    """Colors of the union of the levels, and how they were found.
+
+    Attributes:
+        exact: The colors before rounding.
+        directions: Source of the directions of the fit, in words.
+        learned: What learning after the fit gained, as `Learned.as_dict` with a "remark"; None without learning.
+    """
+
+    exact: SrbfColors
+    directions: str
+    learned: dict[str, Any] | None
+
+
 @dataclass(eq=False)
 class Stages:
     """A scene, the options of its package, and the stages between them.
@@ -82,7 +98,7 @@ class Stages:
         scene: The scene or levels, as given.
         space: The navigable space.
         config: The options.
-        photos: Photos to train levels on; None trains on renders of the scene.
+        photos: Photos to train levels and learn colors on; None trains levels on renders of the scene.
         work: The folder that keeps the pieces.
         progress: Called with the progress stages of the functions that run.
         records: Records of the stages so far.
@@ -247,16 +263,22 @@ class Stages:
         key = self._key("joined", sets=digest_of_folder(sets).split()[0], join=self.config.join_cells)
         return self.work.at(f"joined-{key}.pvs")
 
+    @property
+    def color_steps(self) -> int:
+        """Steps of learning colors after the fit; 0 for none."""
+        return steps_of_learning(self.config.color_steps, photos=self.photos is not None)
+
     def colors_name(self, levels: Levels, store: VisibilityStore) -> str:
         """Return the name of the file of colors."""
         seen = hashlib.sha256(store.direction_sets.tobytes()).hexdigest() if levels.union.sh_degree else None
-        space = self.space_hash
+        learned = self._lesson_record()
+        space = self.space_hash if seen or learned else None
         config = asdict(self.config.colors)
-        key = self._key("colors", levels=_content(levels), seen=seen, space=space if seen else None, config=config)
+        key = self._key("colors", levels=_content(levels), seen=seen, space=space, config=config, **learned)
         return f"colors-{key}.arrow"
 
-    def colors(self, levels: Levels, store: VisibilityStore) -> tuple[SrbfColors, str]:
-        """Return the colors of the union before rounding, and a phrase for the source of their directions."""
+    def colors(self, levels: Levels, store: VisibilityStore) -> StageColors:
+        """Return the colors of the union before rounding, and how they were found."""
         name = self.colors_name(levels, store)
         sets = store.direction_sets
         found_so_far = self.work.at("directions")  # serves every variant: see `prepare_colors`
@@ -269,11 +291,45 @@ class Stages:
                 found = prepare_colors(
                     levels, self.space, self.config.colors, sets=sets, keep=found_so_far, progress=self.progress
                 )
-                provenance = {"directions": found.sets_from}
-                save_srbf(self.work.at(name), levels.union, found.fit.colors, provenance=provenance)
+                provenance: dict[str, Any] = {"directions": found.sets_from}
+                colors = found.fit.colors
+                if self.color_steps:
+                    colors, learned = self._learn(levels, colors)
+                    provenance["learned"] = {**learned.as_dict(), "remark": learned.remark}
+                save_srbf(self.work.at(name), levels.union, colors, provenance=provenance)
                 self.work.seal_file(name)
             path = self.work.at(name)
-            return load_srbf(path)[1], str(srbf_info(path).provenance.get("directions"))
+            known = srbf_info(path).provenance
+            made = StageColors(load_srbf(path)[1], str(known.get("directions")), known.get("learned"))
+        self.remarks += [made.learned["remark"]] if made.learned and made.learned["remark"] else []
+        return made
+
+    def _lesson_record(self) -> dict[str, Any]:
+        """Return what decides the result of learning, for a key; empty without learning."""
+        if not self.color_steps:
+            return {}
+        photos = None if self.photos is None else digest_of_folder(self.photos)
+        images = {"photographs": photos, "size": self.config.level_size, "seed": self.config.level_views.seed}
+        return {"learned": {"steps": self.color_steps, **images}}
+
+    def _learn(self, levels: Levels, colors: SrbfColors) -> tuple[SrbfColors, Learned]:
+        """Return colors of the union that were learned from photographs or renders of the highest level."""
+        highest = self.highest
+        seed = self.config.level_views.seed
+        if self.photos is None:
+            lesson = draw_lesson(highest, self.space, self.color_steps, seed=seed, progress=self.progress)
+        else:
+            size = self.config.level_size
+            lesson, _ = read_lesson(
+                highest, self.photos, self.color_steps, size=size, seed=seed, progress=self.progress
+            )  # the remarks are those of the levels
+
+        def to_records(exact: SrbfColors) -> SrbfColors:
+            """Round colors as the package does."""
+            return quantize(exact, "wire", reach=self.reach).dequantize()
+
+        shown = levels.member(len(levels) - 1)
+        return learn_lesson(levels.union, colors, lesson, to_records, shown=shown, progress=self.progress)
 
     def cost_name(self, levels: Levels, exact: SrbfColors) -> str:
         """Return the name of the file of the cost of rounding."""

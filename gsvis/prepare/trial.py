@@ -18,6 +18,7 @@ from gsvis.color.fit import SrbfFit, fit_srbf, fitted_for_price
 from gsvis.package import Contents, ExactLevel, in_package_order, measure_cost, measure_fidelity
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.importance import direction_weights, importance_from_views
+from gsvis.prepare.learned_colors import RENDERS
 from gsvis.prepare.levels import count_eyes, judge
 from gsvis.render.rasterizer import rasterize
 from gsvis.render.removal import removal_effects
@@ -151,6 +152,27 @@ class StageTrial:
             cameras = self._cameras(replace(views, count=2))
             seconds += views.count * self._each(lambda camera: importance_from_views(self._levels, camera), cameras)
         return seconds
+
+    def learning(self, steps: int, *, photos: bool) -> float:
+        """Return the seconds to learn colors, the loading of torch included.
+
+        Args:
+            steps: Steps of learning, at least 1.
+            photos: Whether from photos, taken to be as large as the views of levels.
+        """
+        began = self._clock()
+        from gsvis.train.colors import LearnConfig, learn_colors
+
+        views = self._config.level_views if photos else RENDERS
+        tried = render_views(self._scene, self._cameras(replace(views, count=_VIEWS)))
+        drawing = 0.0 if photos else (self._clock() - began) / _VIEWS * views.count
+        colors = self._fitted[0].colors
+        many = colors[np.arange(len(self._scene)) % len(colors)]
+        learn_colors(self._scene, many, tried, LearnConfig(steps=1))
+        start = self._clock()
+        learn_colors(self._scene, many, tried, LearnConfig(steps=_VIEWS))
+        each = (self._clock() - start) / _VIEWS
+        return start - began + drawing + each * steps
 
     @cached_property
     def _fitted(self) -> tuple[SrbfFit, float]:

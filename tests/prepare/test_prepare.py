@@ -18,7 +18,7 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.jobs.workers import Workers
 from gsvis.package import Package, Spread, in_package_order
 from gsvis.package.fidelity import STEPS
-from gsvis.prepare import PrepareConfig, Prepared, estimate_preparation, prepare_package
+from gsvis.prepare import PrepareConfig, Prepared, estimate_preparation, learned_colors, prepare_package
 from gsvis.prepare import estimate as estimates
 from gsvis.prepare.colors import ColorConfig
 from gsvis.pvs import estimate as pvs_estimates
@@ -220,7 +220,7 @@ def test_photographs_train_levels_and_another_photograph_trains_them_again(
 ) -> None:
     (tmp_path / "capture").mkdir()
     photos = write_transforms(tmp_path / "capture", 9)
-    config = replace(CONFIG, colors=replace(CONFIG.colors, fit=FitConfig(max_terms=0)))
+    config = replace(CONFIG, colors=replace(CONFIG.colors, fit=FitConfig(max_terms=0)), color_steps=3)
     out = tmp_path / "s.gsvis"
     g = Gaussians(  # in front of these cameras
         rooms.gaussians.means * 0.2,
@@ -230,10 +230,33 @@ def test_photographs_train_levels_and_another_photograph_trains_them_again(
     assert found.quality is not None
     assert found.quality["cameras"] == "photographs"
     assert len(found.quality["psnr_photographs"]) == 3
-    assert new(prepare_package(g, out, rooms.navigable, config, photos=photos)) == []
+    assert found.learned is not None
+    assert found.learned["from"] == "photographs"
+    assert any("check that they show this scene" in remark for remark in found.remarks)  # they do not
+    again = prepare_package(g, out, rooms.navigable, config, photos=photos)
+    assert new(again) == []
+    assert again.learned == found.learned
+    fitted = prepare_package(g, out, rooms.navigable, replace(config, color_steps=0), photos=photos)
+    assert fitted.learned is None
+    assert new(fitted)[0] == "colors"
     picture = sorted(photos.rglob("*.png"))[0]
     Image.fromarray(255 - np.asarray(Image.open(picture))).save(picture)
     assert new(prepare_package(g, out, rooms.navigable, config, photos=photos))[0] == "levels"
+
+
+def test_colors_learn_from_renders_on_request(
+    again: Path, rooms: OccluderScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learned_colors, "RENDERS", ViewSampling(9, 24, 20))
+    config = replace(CONFIG, color_steps=2)
+    estimate = estimate_preparation(rooms.gaussians, again, rooms.navigable, config)
+    assert "2 steps of learning" in next(stage.what for stage in estimate.stages if stage.name == "colors")
+    found = prepare(rooms, again, config)
+    assert new(found)[0] == "colors"
+    assert found.learned is not None
+    assert found.learned["from"] == "renders"
+    with Package.open(again) as package:
+        assert package.manifest.info.provenance["learned_colors"] == found.learned
 
 
 def test_an_edit_of_the_scene_is_seen(tmp_path: Path) -> None:
