@@ -89,6 +89,8 @@ def parse(arguments: Sequence[str]) -> Command:
     import tyro
 
     from gsvis.cli.help import ALL, find_command
+    from gsvis.cli.options import leaves
+    from gsvis.cli.paper import expand
     from gsvis.cli.spelling import axes_as_values, expand_home, misspelling, paths_first
 
     wrong = misspelling(arguments)
@@ -98,7 +100,8 @@ def parse(arguments: Sequence[str]) -> Command:
     assert kind is not None, "misspelling has refused unknown commands"
     if {"-h", "--help", ALL} & set(arguments[1:]):
         _print_help(kind, arguments[0], every=ALL in arguments)
-    name, *words = axes_as_values(paths_first(arguments))
+    options = [leaf.option for leaf in leaves(kind)]
+    name, *words = axes_as_values(paths_first(expand(arguments, options)))
     command: Command = tyro.cli(kind, prog=f"gsvis {name}", args=words, config=_style())
     return expand_home(command)
 

@@ -13,7 +13,7 @@ from gsvis.cli import version
 from gsvis.cli.arguments import Analyze
 from gsvis.cli.options import command_line, config_of, refuse, values_of
 from gsvis.cli.source import inspect_scene_of, open_source
-from gsvis.cli.targets import check_report
+from gsvis.cli.targets import check_report, check_tracer
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.cli.where import check_where, find_place, framed_cameras, space_document, suspect_views
 from gsvis.errors import SceneError
@@ -47,6 +47,7 @@ _STREAM = 3
 def run_analyze(command: Analyze) -> None:
     """Analyze a scene: read, trace, render, write the report, print a table or JSON."""
     require("gsvis analyze", "matplotlib")
+    check_tracer(command.tracing.tracer)
     check_shown(command.scene, command.lod)
     check_report(command.out)
     walk = check_where(command.where)
@@ -87,7 +88,7 @@ def _write_report(
         framed + place.remarks + _buried_cameras(g, given) + ([] if navigable is None else suspect_views(g, navigable))
     )
     warm_analysis(status)
-    tracer = Tracer(EllipsoidProxies.from_scene(g))
+    tracer = Tracer.named(config.tracer, EllipsoidProxies.from_scene(g))
     analysis = analyze(g, cameras, config, navigable=navigable, tracer=tracer, progress=status)
     if no_space:
         analysis = replace(analysis, untraced_because=no_space)

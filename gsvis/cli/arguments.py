@@ -22,6 +22,7 @@ from gsvis.cli.options import (
     Framed,
     Placed,
     Reading,
+    Sending,
     Sets,
     Shown,
     Where,
@@ -30,7 +31,7 @@ from gsvis.cli.options import (
 from gsvis.cli.options import (
     Levels as Training,
 )
-from gsvis.cli.readers import Count, File, Flag, Lod, Memory, Report, Scene, Seed, hint, out
+from gsvis.cli.readers import AsInPaper, Count, File, Flag, Lod, Memory, Report, Scene, Seed, hint, out
 
 __all__ = [
     "Analyze",
@@ -81,6 +82,9 @@ class Tracing:
     """Weight from which a Gaussian counts as visible."""
     traced_sample: Annotated[int, readers.WHOLE] = 5000
     """Gaussians whose directions are traced outward; 0 for none."""
+    tracer: Annotated[Literal["hierarchy", "embree"], readers.PLAIN] = "hierarchy"
+    """What traces rays. hierarchy: our own, over ellipsoids; embree: Open3D's Embree, over proxy meshes, many times
+    slower. (default: hierarchy)"""
     rays_per_face: Annotated[int, readers.FACE_RAYS] = 16
     """Rays of that tracing over each of the 80 directions: 1, 4, 16 or 64; more find more."""
 
@@ -108,6 +112,7 @@ class Analyze:
     """Pixels down a view."""
     fov: Annotated[float | None, readers.DEGREES, hint("60; with --cameras its own")] = None
     """Horizontal field of view of sampled cameras."""
+    as_in_paper: AsInPaper = False
     tracing: Tracing = Tracing()
     output: Annotated[Reading, REPORT] = Reading()
 
@@ -191,10 +196,14 @@ class CertifiedSets(Sets):
     """z-buffer and hidden points, cubemap images, or rays. (default: hybrid)"""
     tau: Annotated[float, readers.TAU, hint("1/255")] = 1.0 / 255.0
     """Weight from which a Gaussian counts as visible."""
-    certify: Annotated[Count, hint("8192")] = None
-    """Largest number of random rays in each cell that bound the light its set misses."""
+    certify: Annotated[int | None, readers.WHOLE, hint("8192")] = None
+    """Largest number of random rays in each cell that bound the light its set misses; 0 for none: the set stays as the
+    z-buffer and hidden points found it, the paper's way."""
     max_inner: Annotated[int | None, readers.WHOLE, hint("16")] = None
     """Largest number of times that a set is mended and certified again."""
+    tracer: Annotated[Literal["hierarchy", "embree"], readers.PLAIN] = "hierarchy"
+    """What traces rays. hierarchy: our own, over ellipsoids; embree: Open3D's Embree, over proxy meshes, many times
+    slower. (default: hierarchy)"""
 
 
 @dataclass(frozen=True)
@@ -266,14 +275,6 @@ class PvsReport:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AnyFit(Fit):
-    """How colors are fitted, and with how much effort."""
-
-    no_refine: Flag = False
-    """Leave terms on the grid that they are chosen from: quicker, and worse."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Compared:
     """The views that weigh Gaussians, and those that measure the result."""
 
@@ -311,7 +312,8 @@ class Color:
     pvs: Annotated[str | None, hint("directions are traced", "FILE")] = None
     """Visible sets of SCENE (gsvis pvs): they hold from where each Gaussian is seen."""
     where: Annotated[Placed, with_help(up=f"{UP}; not with --pvs.")] = Placed()
-    fit: AnyFit = AnyFit()
+    as_in_paper: AsInPaper = False
+    fit: Fit = Fit()
     learning: Learning = Learning()
     compared: Compared = Compared()
     precision: Annotated[Literal["coarse", "wire", "fine", "exact"], readers.PLAIN] = "wire"
@@ -355,6 +357,7 @@ class Levels:
             " shrunk to it.",
         ),
     ] = MeasuredLevels()
+    as_in_paper: AsInPaper = False
     seed: Seed = 0
     max_memory: Memory = None
     output: Reading = Reading()
@@ -402,10 +405,8 @@ class Simulate:
     viewing: Viewing = Viewing()
     visits: Annotated[Count, hint("one for each package")] = None
     """Number of visits, in the order of the packages, in turns; each begins with nothing."""
-    policy: Annotated[Literal["utility", "fov-first", "low-first"], readers.PLAIN] = "utility"
-    """What is sent first. (default: utility)"""
-    no_fill: Flag = False
-    """Send only what a view needs: an idle link does not bring the rest of the scene."""
+    as_in_paper: AsInPaper = False
+    sending: Sending = Sending()
     scene: Annotated[tuple[str, ...], readers.FILES, hint("found beside each package")] = ()
     """The scene that each package was made from, or all scenes of one world, to compare with."""
     lod: Lod = None

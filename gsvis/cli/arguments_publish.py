@@ -18,12 +18,13 @@ from gsvis.cli.options import (
     Output,
     Placed,
     Reading,
+    Sending,
     Sets,
     Shown,
     Work,
     with_help,
 )
-from gsvis.cli.readers import Count, Flag, Lod, Overwrite, Scene, Seed, Units, Up, hint, out
+from gsvis.cli.readers import AsInPaper, Count, Flag, Lod, Overwrite, Scene, Seed, Units, Up, hint, out
 
 __all__ = ["Export", "Prepare", "Presented", "Serve", "Space", "Unpack", "Verify", "View", "World"]
 
@@ -34,16 +35,25 @@ _TABLES = "in GSVIS_CACHE, or in ~/.cache/gsvis"
 class MendedSets(Sets):
     """How visible sets of a package are found."""
 
+    certify: Annotated[int | None, readers.WHOLE, hint("8192")] = None
+    """Largest number of random rays in each cell that bound the light its set misses; 0 for none: the set stays as the
+    z-buffer and hidden points found it, the paper's way."""
     max_inner: Annotated[int | None, readers.WHOLE, hint("16")] = None
     """Largest number of times that a set is mended and certified again."""
+    tracer: Annotated[Literal["hierarchy", "embree"], readers.PLAIN] = "hierarchy"
+    """What traces rays. hierarchy: our own, over ellipsoids; embree: Open3D's Embree, over proxy meshes, many times
+    slower. (default: hierarchy)"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FilteredFit(Fit):
     """How colors of a package are fitted, and which terms are sent."""
 
-    epsilon: Annotated[float | None, readers.CHANGE, hint("0.02")] = None
-    """Smallest change of a color for which a term is sent; gsvis color --epsilon auto finds it for a scene."""
+    epsilon: Annotated[float | None, readers.EPSILON, hint("0.02")] = None
+    """Smallest change of a color for which a term is sent; auto asks the metric FLIP what an eye would see."""
+    cell_terms: Annotated[Literal["computed", "stored"], readers.PLAIN] = "computed"
+    """Active terms of cells. computed: when they are needed; stored: listed in the package, the paper's way. (default:
+    computed)"""
 
 
 @dataclass(frozen=True)
@@ -57,6 +67,7 @@ class Prepare:
     lod: Lod = None
     """Level of detail of a streamed scene to start from; 0 is the finest."""
     where: Annotated[Shown, with_help(show=IN_DOUBT)] = Shown()
+    as_in_paper: AsInPaper = False
     training: Annotated[
         Levels,
         with_help(photos="Photographs to train levels and colors on, with the model that SCENE was trained from."),
@@ -389,10 +400,8 @@ class Serve:
     """Folders of packages or worlds, such as scene.gsvis; each is served under its name, the first also without one."""
     address: Address = Address()
     access: Access = Access()
-    policy: Annotated[Literal["utility", "fov-first", "low-first"], readers.PLAIN] = "utility"
-    """What is sent first. (default: utility)"""
-    no_fill: Flag = False
-    """Send only what a view needs: an idle link does not bring the rest of the scene."""
+    as_in_paper: AsInPaper = False
+    sending: Sending = Sending()
     coarse: Flag = False
     """Round records before they are sent: about 10 bytes a Gaussian instead of 14, at about 45 dB."""
     bounds: Bounds = Bounds()

@@ -30,14 +30,14 @@ from gsvis.scene.paths import HeadPath
 from gsvis.scene.source import Source
 
 if TYPE_CHECKING:
-    from gsvis.color.fit import FitConfig
     from gsvis.prepare.colors import ColorConfig
     from gsvis.prepare.fitted_colors import FittedColors
     from gsvis.prepare.learned_colors import Lesson
     from gsvis.prepare.scene_colors import ColorOutputs
     from gsvis.scene.navigable import NavigableSpace
+    from gsvis.scene.view_sampling import ViewSampling
 
-__all__ = ["fit_config", "learned_rows", "run_color"]
+__all__ = ["color_config", "learned_rows", "run_color"]
 
 _HELD_OUT = 1  # stream of random numbers of the held-out views; that of the fit is 0
 _FOV = 60.0
@@ -95,23 +95,30 @@ def _check_arguments(command: Color) -> ColorConfig:
         raise ValueError("--held-out: expected at least 1 with --report, got 0; leave it out")
     remedy = "raise it, or let gsvis world fit the colors of tiles; gsvis world --until levels leaves their scenes"
     check_memory("color", [(command.scene, command.lod)], command.max_memory, remedy)
-    from gsvis.prepare.colors import ColorConfig
     from gsvis.scene.view_sampling import ViewSampling
 
     if command.epsilon == 0.0 or (command.epsilon is None and command.active is not None):
         from gsvis.prepare.color_quality import check_flip
 
         check_flip()
-    fit = replace(fit_config(command.fit), refine=not command.fit.no_refine)
-    return ColorConfig(fit, ViewSampling(command.compared.views, seed=command.compared.seed))
+    return color_config(command.fit, ViewSampling(command.compared.views, seed=command.compared.seed))
 
 
-def fit_config(fit: Fit) -> FitConfig:
-    """Return the settings of the fit from the options."""
+def color_config(fit: Fit, views: ViewSampling) -> ColorConfig:
+    """Return the settings of colors from the options.
+
+    Args:
+        fit: The options.
+        views: The views that weigh Gaussians.
+    """
     from gsvis.color.fit import FitConfig
+    from gsvis.prepare.colors import ColorConfig
 
-    config = config_of(FitConfig, fit)
-    return replace(config, mean_terms=None) if config.mean_terms == math.inf else config
+    config = config_of(FitConfig, fit, refine=fit.fit == "lobes")
+    if config.mean_terms == math.inf:
+        config = replace(config, mean_terms=None)
+    rays = ColorConfig.rays_per_face if fit.directions == "weighed" else 0
+    return ColorConfig(config, views, rays, fit.directions)
 
 
 def _check_no_input(name: str, path: str, command: Color) -> None:
@@ -226,8 +233,9 @@ def _lesson(command: Color, plan: _Plan, status: Status) -> Lesson | None:
 
 def _outputs(command: Color) -> ColorOutputs:
     """Return what the command writes and measures besides the colors."""
+    from gsvis.prepare.calibration import OBSERVED
     from gsvis.prepare.color_quality import ColorQualityConfig, has_flip
-    from gsvis.prepare.scene_colors import OBSERVED, ColorOutputs
+    from gsvis.prepare.scene_colors import ColorOutputs
     from gsvis.scene.view_sampling import ViewSampling
 
     compared = command.compared

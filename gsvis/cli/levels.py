@@ -170,7 +170,15 @@ def levels_config(training: Training, seed: int) -> LevelsConfig:
     reuse = training.reuse or (*_REUSE[:lower], *_REUSE[-1:] * (lower - len(_REUSE)))
     try:
         with naming(shares="--levels"):
-            config = LevelsConfig(shares, reuse, names, training.steps, seed=seed)
+            config = LevelsConfig(
+                shares,
+                reuse,
+                names,
+                training.steps,
+                merged=1.0 if training.grow == "merged" else 0.0,
+                importance=training.importance,
+                seed=seed,
+            )
             if training.preview is not None:  # also in a small scene
                 config = replace(config, preview=training.preview, preview_from=0)
             check_names(names)

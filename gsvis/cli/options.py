@@ -32,6 +32,7 @@ __all__ = [
     "Output",
     "Placed",
     "Reading",
+    "Sending",
     "Sets",
     "Shown",
     "Where",
@@ -183,6 +184,12 @@ class Levels:
     """Names of these levels, that of the scene itself last."""
     preview: Annotated[float | None, readers.PREVIEW_SHARE, hint("0.02; 0 below 50,000 Gaussians")] = None
     """Size of the first picture, merged Gaussians below all other levels, as a share of the scene's; 0 for none."""
+    importance: Annotated[Literal["removal", "gradient"], readers.PLAIN] = "removal"
+    """How Gaussians that stay in lower levels are chosen. removal: in rounds, by what their removal changes; gradient:
+    at once, by equation 6 of the paper, the error of the training views. (default: removal)"""
+    grow: Annotated[Literal["merged", "clones"], readers.PLAIN] = "merged"
+    """What a lower level has besides them. merged: Gaussians that stand for those that go; clones: clones of what
+    stays, at most 1% of the level at a time, the paper's way. (default: merged)"""
     steps: Annotated[int, readers.STEPS] = 400
     """Steps of training for each lower level, one view each."""
     views: Annotated[Count, hint("400")] = None
@@ -199,10 +206,29 @@ class Fit:
 
     variant: Annotated[Literal["rgb", "hsl"], readers.PLAIN] = "rgb"
     """How colors are split; hsl is the paper's way. (default: rgb)"""
+    fit: Annotated[Literal["lobes", "omp"], readers.PLAIN] = "lobes"
+    """How terms are found. lobes: refined after each choice; omp: orthogonal matching pursuit leaves them on its grid,
+    the paper's way, quicker and worse. (default: lobes)"""
+    directions: Annotated[Literal["weighed", "faces"], readers.PLAIN] = "weighed"
+    """What the fit heeds. weighed: directions by how much views see from them; faces: those of the 80 from which views
+    see a Gaussian, all alike, the paper's way. (default: weighed)"""
     max_terms: Annotated[int | None, readers.TERMS, hint("24")] = None
     """Most terms of each function of a Gaussian; 0 leaves base colors alone."""
     mean_terms: Annotated[float | None, readers.MEAN_TERMS, hint("3")] = None
     """Terms a Gaussian on average; they go where they lower errors most. all: all that help (slow)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sending:
+    """What a viewer is sent, and in which order: `gsvis.abr.AbrConfig`."""
+
+    policy: Annotated[Literal["utility", "fov-first", "low-first"], readers.PLAIN] = "utility"
+    """What is sent first. (default: utility)"""
+    terms: Annotated[Literal["pose", "cell"], readers.PLAIN] = "pose"
+    """Which terms are sent. pose: those that change the image for the eye; cell: all that are active somewhere in its
+    cell, the paper's way. (default: pose)"""
+    no_fill: Flag = False
+    """Send only what a view needs: an idle link does not bring the rest of the scene."""
 
 
 @dataclass(frozen=True, eq=False)

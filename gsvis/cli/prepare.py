@@ -13,7 +13,7 @@ from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Prepare
 from gsvis.cli.asking import settle_space
-from gsvis.cli.color import fit_config, learned_rows
+from gsvis.cli.color import color_config, learned_rows
 from gsvis.cli.levels import (
     SHARES,
     check_views,
@@ -28,9 +28,10 @@ from gsvis.cli.package import fidelity_table, size_rows
 from gsvis.cli.pvs import MEMORY, local_workers, spell_certificates
 from gsvis.cli.source import open_source
 from gsvis.cli.stopping import between_steps, resumable
-from gsvis.cli.targets import check_exists
+from gsvis.cli.targets import check_exists, check_tracer
 from gsvis.cli.terminal import Status, busy_note, clock, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, kind_row, space_document
+from gsvis.color.epsilon import DEFAULT_EPSILON
 from gsvis.files.output import check_folder
 from gsvis.io.sources import check_source, is_builtin, is_levels
 from gsvis.package.made_from import note_paths
@@ -51,8 +52,10 @@ _CALLED = {
     "levels": "levels",
     "sets": "visible sets",
     "colors": "colors",
+    "epsilon": "epsilon",
     "cost": "cost of rounding",
     "fidelity": "what a client gets",
+    "terms": "lists of terms",
     "package": "package",
 }
 
@@ -122,6 +125,7 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
 
     check_source(command.scene, command.lod)
     check_exists(command.training.photos)
+    check_tracer(command.sets.tracer)
     _check_training(command)
     if _steps(command):
         require("gsvis prepare --color-steps", "torch")
@@ -142,11 +146,11 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
         cells=command.sets.cells,
         cell_size=command.sets.cell_size,
         join_cells=command.join_cells,
-        sets=config_of(PvsConfig, command.sets, size=command.sets.face_size),
-        colors=ColorConfig(fit_config(command.fit), replace(ColorConfig.views, seed=command.seed)),
+        sets=config_of(PvsConfig, command.sets, size=command.sets.face_size, rays=command.sets.certify),
+        colors=color_config(command.fit, replace(ColorConfig.views, seed=command.seed)),
         color_steps=command.color_steps,
-        epsilon=command.fit.epsilon or PrepareConfig.epsilon,
-        epsilon_from="given" if command.fit.epsilon else PrepareConfig.epsilon_from,
+        epsilon=_epsilon(command.fit.epsilon),
+        cell_terms=command.fit.cell_terms,
         meters_per_unit=command.meters_per_unit or 0.0,
     )
     images = image_bytes(sampling, PrepareConfig.level_held_out) if command.training.photos is None else 0
@@ -160,9 +164,20 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
     return config
 
 
+def _epsilon(given: float | None) -> float | None:
+    """Return epsilon as an option says it; None if the staircase has to find it."""
+    if given == 0.0:
+        from gsvis.prepare.color_quality import check_flip
+
+        check_flip()
+        return None
+    return DEFAULT_EPSILON if given is None else given
+
+
 def _check_training(command: Prepare) -> None:
     """Raise if options of training are given but no level will be trained, or if they conflict."""
-    names = ["levels", "reuse", "names", "preview", "steps", "views"]
+    names = ["levels", "reuse", "names", "steps", "views"]
+    names += ["preview"] if command.training.preview else []
     images = ["width", "height", "photos"]
     if not _steps(command):
         names += images

@@ -16,6 +16,7 @@ from gsvis.cli.asking import settle_space
 from gsvis.cli.memory import IN_TILES, check_sets
 from gsvis.cli.options import Cluster, Work, config_of, naming, refuse
 from gsvis.cli.source import levels_spelled, open_source, summarize_levels
+from gsvis.cli.targets import check_tracer
 from gsvis.cli.terminal import Status, busy_note, clock, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, kind_row, space_document
 from gsvis.files.output import check_file
@@ -85,6 +86,7 @@ def _check_arguments(command: Pvs) -> PvsConfig:
     with naming(path="--out"):
         check_store_target(command.out)
     check_workers(command.work)
+    check_tracer(command.sets.tracer)
     config = config_of(PvsConfig, command.sets, size=command.sets.face_size, rays=command.sets.certify)
     check_sets(command.scene, command.lod, config, command.work.max_memory)
     return config
@@ -208,7 +210,7 @@ def spell_certificates(certified: StoredCertificates, twice: Any) -> list[tuple[
     """Return rows on what the sets of a store miss, and on the rays that two tracers agree on."""
     known = certified.known
     if not known.any():
-        return [("light missed", "not certified: the store is of an older version")]
+        return [("light missed", "not certified by rays")]
     missed = certified.missed[known]
     bound = certified.bound[known]
     tile = certified.tile[known]

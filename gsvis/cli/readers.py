@@ -227,7 +227,6 @@ CELLS = _number("N", int, 1, 100_000, "a whole number of 1 to 100000")
 LEAF = _number("N", int, 64, 1 << 19, "a whole number of 64 to 524288")
 FILL = _number("X", float, 0.1, 1e6, "0.1 to 1000000 splats")
 TERMS = _number("N", int, 0, 32, "a whole number of 0 to 32")
-CHANGE = _number("E", float, 1e-4, 1.0, "a change of color in [0.0001, 1]")
 MEAN_TERMS = _spec(1, "X|all", _read_mean_terms, lambda value: ["all"] if value == math.inf else spell(value))
 EPSILON = _spec(1, "E|auto", _read_epsilon, lambda value: spell(value) if value else ["auto"])
 FACTOR = _number("F", float, 1.0, 64.0, "a factor of 1 to 64")
@@ -257,12 +256,17 @@ _LOD = "Level of detail of a streamed scene; 0 is the finest."
 _REPORT = "Folder for report.html (all in one file), report.json and the pictures; made if missing."
 _SEED = "Seed of everything random: the same seed gives the same result."
 _MEMORY = "Memory limit, such as 8GB: a scene that needs more is refused before it is read."
+_PAPER = (
+    "Take every piece as SRBF-Gaussian has it, save those that are given as well: short for a row of options, which"
+    " docs/how-to/paper.md lists."
+)
 _FACE = "Pixels along a side of the six faces around an eye."
 
 Scene = Annotated[Positional[str], arg(metavar="SCENE", help_behavior_hint="", help=_SCENE)]
 Lod = Annotated[int | None, WHOLE, hint("the finest that is there", about=_LOD)]
 Flag = Annotated[bool, PLAIN]
 Overwrite = Annotated[bool, arg(help_behavior_hint="", help="Replace files that exist.")]
+AsInPaper = Annotated[bool, arg(help_behavior_hint="", help=_PAPER)]
 Count = Annotated[int | None, COUNTED]
 Seed = Annotated[int, WHOLE, arg(help=_SEED)]
 Units = Annotated[float | None, DISTANCE]

@@ -21,6 +21,7 @@ RENAMED: dict[str, dict[str, str]] = {
     "--least-db": {"clean": "--min-psnr"},
     "--max-sh-degree": {"convert": "--sh-degree"},
     "--most-changed": {"clean": "--max-changed"},
+    "--no-refine": {"color": "--fit omp"},
     "--processes": {"serve": "--workers"},
     "--rays": {"pvs": "--certify", "pvs-report": "--raycast"},
     "--shares": {"levels": "--levels"},

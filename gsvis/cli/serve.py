@@ -86,7 +86,7 @@ def _serve(command: Serve, child: Child | None) -> None:
         tables_bytes=bounds.tables_memory,
     )
     token = command.access.token if command.access.token is not None else os.environ.get("GSVIS_TOKEN") or None
-    abr = AbrConfig(policy=command.policy, fill=not command.no_fill)
+    abr = AbrConfig(policy=command.sending.policy, fill=not command.sending.no_fill)
     opens = parse_origins("--page-origins", command.access.page_origins)
     config = AppConfig(token, command.access.origins, limits, abr, command.access.hosts, command.access.proxies, opens)
     address = Address(**vars(command.address))
@@ -97,7 +97,12 @@ def _serve(command: Serve, child: Child | None) -> None:
     tables = None if command.no_tables else command.tables or str(cache_folder() / TABLES)
     siblings = None if child is None else Siblings(Path(child.folder), child.number, beat=child.beat)
     with open_scenes(
-        command.package, max_cache_bytes=command.cache, warm=True, quality=quality, tables=tables
+        command.package,
+        max_cache_bytes=command.cache,
+        warm=True,
+        quality=quality,
+        terms=command.sending.terms,
+        tables=tables,
     ) as scenes:
         try:
             listener = None if child is None else child.socket()

@@ -151,7 +151,7 @@ def _write_report(
             link,
             config,
             count=command.visits,
-            abr=AbrConfig(policy=command.policy, fill=not command.no_fill),
+            abr=AbrConfig(policy=command.sending.policy, fill=not command.sending.no_fill),
             seed=command.seed,
             progress=status,
         )
@@ -196,15 +196,16 @@ def _open_place(
     folder: str, walk: HeadPath, opened: ExitStack, command: Simulate, reference: Gaussians | None, whole: str | None
 ) -> Place:
     """Open a package or a world to simulate visits in."""
+    terms = command.sending.terms
     if is_world(folder):
         from gsvis.world.place import open_place  # seldom needed
 
-        given: Any = {"as_is": command.no_retarget, "seed": command.seed}
+        given: Any = {"as_is": command.no_retarget, "seed": command.seed, "terms": terms}
         return open_place(folder, walk, reference=reference, whole_file=whole, **given)
     from gsvis.simulate.visits import Place
 
     package = opened.enter_context(Package.open(folder))
-    return Place.open(package, reference=reference, whole_file=whole, as_is=command.no_retarget)
+    return Place.open(package, reference=reference, whole_file=whole, as_is=command.no_retarget, terms=terms)
 
 
 def _plain(value: Any) -> Any:

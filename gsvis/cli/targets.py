@@ -1,4 +1,4 @@
-"""Check the files that a command reads and writes, before the work; write arrays."""
+"""Check what a command needs before the work: files that it reads and writes, and a tracer; write arrays."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis._extras import require
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path, find_interrupted_moves
 from gsvis.files.limits import open_regular
@@ -26,6 +27,7 @@ __all__ = [
     "check_report",
     "check_scene_out",
     "check_show",
+    "check_tracer",
     "write_array",
 ]
 
@@ -49,6 +51,16 @@ def check_new(path: str | os.PathLike[str], overwrite: bool) -> None:
     """
     if not overwrite and os.path.lexists(path):
         raise ValueError(f"{path}: expected a new file, got one that exists; name another, or say --overwrite")
+
+
+def check_tracer(name: str) -> None:
+    """Raise unless the tracer of --tracer is installed.
+
+    Raises:
+        MissingExtraError: If it is not; with the remedy.
+    """
+    if name == "embree":
+        require("--tracer embree", "open3d")
 
 
 def check_show(path: str | None) -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.srbf import SrbfColors
+from gsvis.package.active_terms import ActiveTerms
 from gsvis.package.cell_terms import CellTerms
 from gsvis.package.contents import Contents
 from gsvis.package.fidelity import Fidelity
@@ -48,7 +49,7 @@ def measure_fidelity(
     *,
     exact: ExactLevel | None = None,
     sets: VisibilityStore | None = None,
-    active: CellTerms | None = None,
+    active: CellTerms | ActiveTerms | None = None,
     progress: Progress = silent,
 ) -> Fidelity:
     """Measure the final quality at a client against the source scene, over views.
@@ -93,7 +94,7 @@ class _Steps:
         contents: Contents,
         exact: ExactLevel | None,
         sets: VisibilityStore | None,
-        active: CellTerms | None,
+        active: CellTerms | ActiveTerms | None,
     ) -> None:
         self._scene = scene
         self._exact = exact

@@ -125,6 +125,10 @@ class Blob:
     parts: tuple[Part, ...]
     nbytes: int
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of the manifest."""
+        return {"bytes": self.nbytes, "parts": [part.as_dict() for part in self.parts]}
+
 
 @dataclass(frozen=True, eq=False)
 class Manifest:
@@ -139,7 +143,7 @@ class Manifest:
         tables: Parts with the rows of chunks, and the number of rows in each part.
         blocks: Blocks of Gaussians and terms.
         visibility: The store of visible sets, or None.
-        active_terms: Lists of active terms in a package of version 2; None otherwise.
+        active_terms: Lists of the active terms of each cell; None where they are computed on request.
         version: Version of the format.
     """
 
@@ -228,12 +232,14 @@ class Manifest:
                 }
                 for block in self.blocks
             ],
-            "visibility": None if sets is None else {"bytes": sets.nbytes, "parts": [p.as_dict() for p in sets.parts]},
+            "visibility": None if sets is None else sets.as_dict(),
             "epsilon": self.info.epsilon,
             "provenance": self.info.provenance,
         }
         if self.info.fidelity is not None:
             value["fidelity"] = self.info.fidelity.as_dict()
+        if self.active_terms is not None:
+            value["active_terms"] = self.active_terms.as_dict()
         if facts := facts_to_json(self.info.facts):
             value["facts"] = facts
         return json.dumps({**value, "sha256": _digest(value)}, indent=1, sort_keys=True, allow_nan=False).encode()
@@ -304,7 +310,7 @@ class Manifest:
             tuple((Part.from_fields(row), row.integer("count", 1, _MOST)) for row in _parse_objects(fields, "chunks")),
             tuple(_parse_block(row, "arrow" if version == 2 else "bin") for row in _parse_objects(fields, "blocks")),
             _parse_blob(fields, "visibility"),
-            _parse_blob(fields, "active_terms") if version == 2 else None,
+            _parse_blob(fields, "active_terms"),
             version,
         )
         for key, claimed, counted in (("gaussians", "gaussians", found.gaussians), ("terms", "terms", found.terms)):

@@ -225,15 +225,13 @@ class Package:
         Raises:
             FormatError: If the package has version 2 and its lists of active terms are damaged.
         """
-        lists = self.manifest.active_terms
-        if lists is None:
+        if self.manifest.version > 2 or self.manifest.active_terms is None:
             return self.manifest.info.epsilon
-        with ActiveTerms(self._join_blob(lists, "active.terms.arrow")) as store:
-            return store.epsilon
+        return self._lists.epsilon
 
     @cached_property
-    def active_terms(self) -> CellTerms:
-        """The terms that each cell needs, computed from the visible sets cell by cell on request.
+    def active_terms(self) -> CellTerms | ActiveTerms:
+        """The terms that each cell needs: lists in the package, or computed from the visible sets on request.
 
         Raises:
             SceneError: If the package has no visible sets, or its cells do not choose terms.
@@ -241,8 +239,17 @@ class Package:
         """
         if self.epsilon is None:
             raise SceneError(f"{self.path}: the package has no epsilon; prepare it with visibility")
+        if self.manifest.version > 2 and self.manifest.active_terms is not None:
+            self._lists.check(sets=self.visibility)
+            return self._lists
         contents = self.contents
         return CellTerms(contents.gaussians(), contents.colors().dequantize(), self.visibility, self.epsilon)
+
+    @cached_property
+    def _lists(self) -> ActiveTerms:
+        """The lists of active terms in the package, open until `close`."""
+        file = self._join_blob(self.manifest.active_terms, "active.terms.arrow")
+        return self._opened.enter_context(ActiveTerms(file))
 
     def verify(self, *, progress: Progress = silent) -> Verified:
         """Read, check and decode the whole package.
@@ -271,7 +278,10 @@ class Package:
         if m.visibility is not None:
             self.visibility.verify()
             cells = len(self.visibility)
-        _ = self.epsilon
+        if m.active_terms is not None:
+            self._lists.verify()
+        if m.active_terms is not None and m.version > 2:
+            self._lists.check(sets=self.visibility)
         names = {part.name for part in parts}
         strays = sum(path.name not in names for path in self._parts.folder.iterdir()) if parts else 0
         size = (self.path / MANIFEST).stat().st_size

@@ -39,6 +39,7 @@ def write_package(
     *,
     info: PackageInfo | None = None,
     visibility: str | PathLike[str] | None = None,
+    active_terms: str | PathLike[str] | None = None,
     progress: Progress = silent,
 ) -> Package:
     """Write a scene as a package.
@@ -50,6 +51,7 @@ def write_package(
         colors: Rounded colors of their union.
         info: Up axis, meters per unit, measured cost, provenance; None means `PackageInfo()`.
         visibility: The store of visible sets of `levels.union`; None for no visible sets.
+        active_terms: Lists of the active terms of these sets' cells; None computes them on request.
         progress: Called with stage "package", in blocks of the scene.
 
     Returns:
@@ -85,6 +87,7 @@ def write_package(
         tuple(tables),
         blocks,
         sets,
+        None if active_terms is None else _write_blob(parts, _check.path("active_terms", active_terms)),
     )
     with atomic_path(target / MANIFEST) as partial:
         partial.write_bytes(manifest.to_json())

@@ -15,7 +15,7 @@ from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["build_active_terms", "most_weights"]
+__all__ = ["build_active_terms", "list_package_terms", "most_weights"]
 
 
 def build_active_terms(
@@ -62,20 +62,60 @@ def build_active_terms(
         raise ValueError(f"colors: expected fewer than 2^32 terms, got {colors.num_terms}; keep the first of each")
     store.check_scene(g)
     activation = Activation(colors, g.means, epsilon)
-    info = ActiveTermsInfo(
+    write_active_terms(
+        path,
+        _describe(activation, store, str(provenance), bool(weighted)),
+        _cells(activation, store, weighted, progress),
+    )
+    return ActiveTerms(path)
+
+
+def list_package_terms(
+    g: Gaussians,
+    colors: SrbfColors,
+    store: VisibilityStore,
+    epsilon: float,
+    path: str | PathLike[str],
+    *,
+    progress: Progress = silent,
+) -> None:
+    """Write the terms that each cell of a package needs, the same as `CellTerms` computes from the package.
+
+    Args:
+        g: N Gaussians as a client decodes them, so that centers are rounded.
+        colors: Their colors, rounded.
+        store: The visible sets of the package.
+        epsilon: Contribution above which a term is active, >= 0.
+        path: The file to write; it is written atomically.
+        progress: Called with stage "terms".
+
+    Raises:
+        ValueError: If lengths differ or epsilon is out of range.
+        OSError: If the file cannot be written.
+
+    References:
+        SRBF-Gaussian, section 6.2.
+    """
+    activation = Activation(colors, g.means, epsilon)
+    info = _describe(activation, store, "the package", False)
+    write_active_terms(path, info, _cells(activation, store, False, progress))
+
+
+def _describe(activation: Activation, store: VisibilityStore, provenance: str, weighted: bool) -> ActiveTermsInfo:
+    """Return the sources of lists of active terms."""
+    colors = activation.colors
+    return ActiveTermsInfo(
         len(store),
         colors.num_terms,
         len(colors),
         colors.variant,
         activation.epsilon,
-        str(provenance),
-        bool(weighted),
+        provenance,
+        weighted,
         store.info.scene,
         colors_hash(colors),
         sets_hash(store),
     )
-    write_active_terms(path, info, _cells(activation, store, weighted, progress))
-    return ActiveTerms(path)
 
 
 def most_weights(store: VisibilityStore, cell: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gsvis import _check
 from gsvis.color.fit import FitConfig, SrbfFit, fit_srbf
 from gsvis.jobs.resume import KeptWork
 from gsvis.progress import Progress, silent
@@ -26,10 +27,13 @@ from gsvis.scene.levels import Levels, as_levels, level_scenes, levels_record, u
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 
-__all__ = ["ColorConfig", "ColorPreparation", "find_kept", "prepare_colors"]
+__all__ = ["DIRECTIONS", "ColorConfig", "ColorPreparation", "find_kept", "prepare_colors"]
 
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
+
+DIRECTIONS = ("weighed", "faces")
+"""Ways in which the directions of a set count in the fit of colors."""
 
 _PLAN = 2  # increase it when the same plan gives another result
 _BLOCK = 8192  # Gaussians traced between two saves
@@ -45,6 +49,9 @@ class ColorConfig:
         fit: Options of the fit.
         views: Views that give the importance of Gaussians; with no view, all have the same importance.
         rays_per_face: Rays traced outward over each of the 80 directions: 1, 4, 16 or 64; 0 traces none.
+        directions: How the directions of a set count in the fit; one of `DIRECTIONS`. "weighed": more where views see
+            more, and a little outside the set; see `direction_weights`. "faces": all of the set alike, and none outside
+            (paper, section 3.1).
 
     Raises:
         ValueError: If a value is out of range.
@@ -53,8 +60,10 @@ class ColorConfig:
     fit: FitConfig = field(default_factory=FitConfig)
     views: ViewSampling = _VIEWS
     rays_per_face: int = 1
+    directions: str = "weighed"
 
     def __post_init__(self) -> None:
+        _check.one_of("directions", self.directions, DIRECTIONS)
         if self.rays_per_face not in (0, 1, 4, 16, 64):
             raise ValueError(f"rays_per_face: expected 0, 1, 4, 16 or 64, got {self.rays_per_face!r}")
         if self.rays_per_face == 0 and self.views.count == 0:
@@ -154,8 +163,9 @@ def prepare_colors(
             kept.keep_arrays(_FOUND, found)
     directions = found["sets"] if given is None else found["sets"] | given
     sources += "" if levels_record(g) is None else ", in each level"
-    weights = direction_weights(directions, found.get("shares"))
-    fit = fit_srbf(union, weights, config.fit, importance=found["importance"], progress=progress)
+    weighed = config.directions == "weighed"
+    seen_from = direction_weights(directions, found.get("shares")) if weighed else directions
+    fit = fit_srbf(union, seen_from, config.fit, importance=found["importance"], progress=progress)
     return ColorPreparation(fit, directions, found["importance"], views, sources)
 
 

@@ -42,8 +42,10 @@ class PrepareConfig:
         colors: Options of the colors.
         color_steps: Steps of learning colors, after the fit, from photos or else from renders; 0 keeps the fit. None
             is 300 with photos and 0 without.
-        epsilon: Largest change of an RGB channel, in (0, 1], by a term that may be left out of a cell.
-        epsilon_from: Source of epsilon, in words.
+        epsilon: Largest change of an RGB channel, in (0, 1], by a term that may be left out of a cell. None finds it by
+            the staircase, see `calibrate_by_flip`.
+        cell_terms: "computed": the active terms of a cell are computed when they are needed. "stored": the package
+            lists them (paper, section 6.2).
         cost_views: Views that measure the cost of rounding.
         fidelity_views: Separate views that measure final quality against the source scene.
         meters_per_unit: Meters in a scene unit; 0 if unknown.
@@ -62,8 +64,8 @@ class PrepareConfig:
     sets: PvsConfig = field(default_factory=PvsConfig)
     colors: ColorConfig = field(default_factory=ColorConfig)
     color_steps: int | None = None
-    epsilon: float = DEFAULT_EPSILON
-    epsilon_from: str = "the default: FLIP as observer on two scenes"
+    epsilon: float | None = DEFAULT_EPSILON
+    cell_terms: str = "computed"
     cost_views: ViewSampling = _COST_VIEWS
     fidelity_views: ViewSampling = _FIDELITY_VIEWS
     meters_per_unit: float = 0.0
@@ -71,12 +73,13 @@ class PrepareConfig:
     def __post_init__(self) -> None:
         if self.cells is not None and _check.positive_int("cells", self.cells) > MAX_CELLS:
             raise ValueError(f"cells: expected at most {MAX_CELLS:,}, got {self.cells:,}; make them larger")
+        _check.one_of("cell_terms", self.cell_terms, ("computed", "stored"))
         _check.positive_int("level_held_out", self.level_held_out, at_least=0)
         if self.color_steps is not None:
             _check.positive_int("color_steps", self.color_steps, at_least=0)
         if self.cell_size is not None and not (np.isfinite(self.cell_size) and self.cell_size > 0):
             raise ValueError(f"cell_size: expected a finite number > 0 or None, got {self.cell_size!r}")
-        if not 0.0 < self.epsilon <= 1.0:
+        if self.epsilon is not None and not 0.0 < self.epsilon <= 1.0:
             raise ValueError(f"epsilon: expected a change of color in (0, 1], got {self.epsilon!r}")
         if not 0.0 <= self.meters_per_unit < np.inf:
             raise ValueError(f"meters_per_unit: expected a finite number >= 0, got {self.meters_per_unit!r}")
@@ -84,6 +87,13 @@ class PrepareConfig:
             if getattr(self, name).count == 0:
                 raise ValueError(f"{name}: expected at least one view, got none")
 
+    @property
+    def epsilon_from(self) -> str:
+        """Source of epsilon, in words."""
+        if self.epsilon is None:
+            return "the staircase, with FLIP as observer"
+        return "the default: FLIP as observer on two scenes" if self.epsilon == DEFAULT_EPSILON else "given"
+
     def as_dict(self) -> dict[str, Any]:
-        """Return the options as plain numbers, strings and lists for JSON."""
-        return asdict(self)
+        """Return the options as plain numbers, strings and lists for JSON, with the source of epsilon."""
+        return {**asdict(self), "epsilon_from": self.epsilon_from}

@@ -12,11 +12,12 @@ from functools import cached_property
 
 import numpy as np
 
-from gsvis.color.records import bytes_per_term
+from gsvis.color.records import bytes_per_term, quantize
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf
 from gsvis.jobs.cost import machine_load
 from gsvis.jobs.workers import Workers
+from gsvis.prepare.calibration import OBSERVED
 from gsvis.prepare.coded_size import bytes_of_record
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.memory import kept_memory, left_for_sets
@@ -42,6 +43,7 @@ _CODED = 1 << 15  # Gaussians that are coded for the size of records
 _PACKED_TERM = 0.78  # size of coded terms over their raw size
 _SHARED_DIRECTIONS = 0.25  # bytes a Gaussian of direction sets that neighbors share: 0.1 to 0.3 in six scenes
 _FILES = 10_000  # bytes of a package besides records, terms and sets
+_STAIRCASE = 15.0  # time of the staircase over that of the views that measure the cost of rounding
 _IMAGES = 5  # of a view that measures what a client gets
 
 
@@ -138,8 +140,9 @@ class _Estimator:
         shipped = self._shipped(store, disk)
         exact = self._colors(store)
         terms = exact.num_terms if exact is not None else self._expect_terms()
+        epsilon = self._epsilon(exact)
         self._cost(exact)
-        self._fidelity(exact, store)
+        self._fidelity(exact, store, epsilon)
         if store is not None:
             store.close()
         term_bytes = _PACKED_TERM * bytes_per_term(self.config.colors.fit.variant, "wire") * terms
@@ -251,7 +254,21 @@ class _Estimator:
         seconds = self.trial.cost()
         self.found.append(StageEstimate("cost", "to do", what, seconds, 100))
 
-    def _fidelity(self, exact: SrbfColors | None, store: VisibilityStore | None) -> None:
+    def _epsilon(self, exact: SrbfColors | None) -> float | None:
+        """Estimate the stage that finds epsilon, if there is one; return epsilon, or None if it is not known yet."""
+        stages = self.stages
+        if self.config.epsilon is not None:
+            return self.config.epsilon
+        what = f"a staircase in {OBSERVED.count} views of {OBSERVED.width} x {OBSERVED.height}"
+        if exact is not None:
+            packed = quantize(exact, "wire", reach=stages.reach)
+            if stages.work.whole(stages.epsilon_name(self.levels, packed)):
+                self.found.append(StageEstimate("epsilon", "done", what, 0.0, 4000))
+                return stages.epsilon(self.levels, packed).value
+        self.found.append(StageEstimate("epsilon", "to do", what, _STAIRCASE * self.trial.cost(), 4000))
+        return None
+
+    def _fidelity(self, exact: SrbfColors | None, store: VisibilityStore | None, epsilon: float | None) -> None:
         """Estimate the stage that compares the package with the scene."""
         stages = self.stages
         views = self.config.fidelity_views
@@ -259,7 +276,8 @@ class _Estimator:
         if (
             exact is not None
             and store is not None
-            and stages.work.whole(stages.fidelity_name(self.levels, exact, stages.shipped_path(store.path)))
+            and epsilon is not None
+            and stages.work.whole(stages.fidelity_name(self.levels, exact, stages.shipped_path(store.path), epsilon))
         ):
             self.found.append(StageEstimate("fidelity", "done", what, 0.0, 4000))
             return

@@ -109,8 +109,8 @@ def prepare_package(
         about: JSON values to store in the provenance of the package.
         workers: The workers that build visible sets; None means this process.
         progress: Called with the stages "order", or "views" or "photos", "prune", "train NAME" and "measure"; then with
-            "cells", "store", "importance", "price", "fit", "cost", "fidelity",
-            "judge" and "package".
+            "cells", "store", "importance", "price", "fit", "epsilon", "cost", "fidelity",
+            "judge", "terms" and "package".
 
     Returns:
         The manifest of the package, and what each stage did.
@@ -160,20 +160,24 @@ def finish_package(
             colors = stages.colors(levels, store)
             exact = colors.exact
             packed = quantize(exact, "wire", reach=stages.reach)
+            epsilon = stages.epsilon(levels, packed)
             cost = stages.cost(levels, exact, packed)
             shipped = stages.shipped_sets(store)
         with VisibilityStore.open(shipped, scene=levels.union) as store:
-            fidelity = stages.fidelity(levels, exact, packed, store)
+            fidelity = stages.fidelity(levels, exact, packed, store, epsilon.value)
             judged = stages.judged(levels, store)
+            listed = stages.cell_terms(levels, packed, store, epsilon.value)
             certificates = store.certificates
             twice = store.info.config.get("traced_twice")
         began = time.perf_counter()
         views = describe_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
         found = {"levels": quality, "directions": colors.directions, "views": views, "judged": judged}
         found |= {} if colors.learned is None else {"learned_colors": colors.learned}
+        found |= {} if epsilon.staircase is None else {"staircase": epsilon.staircase}
         provenance = {**(about or {}), "config": config.as_dict(), **found}
-        info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity, config.epsilon)
-        with write_package(target, levels, packed, info=info, visibility=shipped, progress=stages.progress) as package:
+        info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity, epsilon.value)
+        parts = {"visibility": shipped, "active_terms": listed}
+        with write_package(target, levels, packed, info=info, **parts, progress=stages.progress) as package:
             manifest = package.manifest
         sizes = {part.name: part.nbytes for part in manifest.parts()}
         kept = {name: size for name, size in sizes.items() if name in before}

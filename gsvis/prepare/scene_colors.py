@@ -12,19 +12,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.color.epsilon import FLIP_JND, EpsilonCalibration, MetricObserver, calibrate_epsilon
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import save_srbf
 from gsvis.errors import OutputError
 from gsvis.jobs.resume import KeptWork
 from gsvis.prepare.active_terms import build_active_terms
-from gsvis.prepare.approximations import Approximations, flip_difference
+from gsvis.prepare.calibration import OBSERVED, calibrate_by_flip
 from gsvis.prepare.color_quality import ColorQualityConfig, measure_colors
 from gsvis.prepare.colors import ColorConfig, ColorPreparation, find_kept, prepare_colors
 from gsvis.prepare.fitted_colors import PRECISION_NAMES, FittedColors, round_colors
@@ -36,13 +35,7 @@ from gsvis.scene.levels import Levels, union_of
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 
-if TYPE_CHECKING:
-    from gsvis.color.epsilon import Observer
-
-__all__ = ["OBSERVED", "ColorOutputs", "color_scene"]
-
-OBSERVED = ViewSampling(4, stream=2)
-"""Views in which the model observer looks for differences; stream 0 is that of the fit, 1 that of held-out views."""
+__all__ = ["ColorOutputs", "color_scene"]
 
 
 @dataclass(frozen=True)
@@ -127,7 +120,7 @@ def color_scene(
             union_of(scene), colors, found, outputs.precision, 0, outputs.epsilon, shown=shown, learned=learned
         )
         if outputs.calibrate and outputs.epsilon is None:
-            calibration = _calibrate(scene, space, fitted, outputs.observed, progress)
+            calibration = calibrate_by_flip(scene, space, fitted.drawn, outputs.observed, progress=progress)
             epsilon = outputs.fallback if calibration is None else calibration.epsilon
             fitted = replace(fitted, epsilon=epsilon, calibration=calibration)
         _write(scene, out, outputs, config, fitted)
@@ -181,25 +174,6 @@ def _written(out: str | os.PathLike[str]) -> Iterator[None]:
         raise KeyboardInterrupt(f"{out} is written, what else was asked for may not be") from None
     except OutputError as error:
         raise error.keeping(f"{out} is written") from error
-
-
-def _calibrate(
-    scene: Gaussians | Levels,
-    space: NavigableSpace | None,
-    fitted: FittedColors,
-    views: ViewSampling,
-    progress: Progress,
-) -> EpsilonCalibration | None:
-    """Return epsilon by the model observer FLIP; None if there are no terms or no viewpoints."""
-    if fitted.colors.num_terms == 0 or space is None:
-        return None
-    progress("epsilon", 0, 1)
-    images = {"views": views.count, "width": views.width, "height": views.height, "fov": views.fov, "seed": views.seed}
-    pictures = Approximations(*fitted.drawn, views.cameras(scene, space))
-    observer = MetricObserver(flip_difference(pictures), FLIP_JND, images=images)
-    calibration = calibrate_epsilon(cast("Observer", observer))
-    progress("epsilon", 1, 1)
-    return calibration
 
 
 def _write(

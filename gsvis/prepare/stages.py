@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from gsvis.color.epsilon import DEFAULT_EPSILON
 from gsvis.color.records import QuantizedColors, quantize
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf, save_srbf, srbf_info
@@ -33,6 +34,8 @@ from gsvis.jobs.workers import Workers
 from gsvis.package import Contents, Cost, ExactLevel, Fidelity, in_package_order, measure_cost, measure_fidelity
 from gsvis.package.active_terms import colors_hash
 from gsvis.package.cell_terms import CellTerms
+from gsvis.prepare.active_terms import list_package_terms
+from gsvis.prepare.calibration import OBSERVED, Epsilon, calibrate_by_flip
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.judged import judge_tile, small_views
@@ -56,7 +59,17 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 
 __all__ = ["VERSIONS", "StageColors", "StageRecord", "Stages", "around_of"]
 
-VERSIONS = {"levels": 6, "sets": 3, "joined": 1, "colors": 2, "cost": 2, "fidelity": 3, "judged": 3}
+VERSIONS = {
+    "levels": 6,
+    "sets": 3,
+    "joined": 1,
+    "colors": 2,
+    "epsilon": 1,
+    "cost": 2,
+    "fidelity": 3,
+    "judged": 3,
+    "terms": 1,
+}
 """Version of the results of each stage; increase it when they change."""
 
 
@@ -65,7 +78,8 @@ class StageRecord:
     """The record of a stage in this run.
 
     Attributes:
-        name: "levels", "sets", "colors", "cost", "fidelity" or "package".
+        name: "levels", "sets", "colors", "epsilon" if it has to be found, "cost", "fidelity", "terms" if they are
+            stored, or "package".
         reused: Whether the whole result existed already.
         seconds: Time that it took in this run.
     """
@@ -331,6 +345,28 @@ class Stages:
         shown = levels.member(len(levels) - 1)
         return learn_lesson(levels.union, colors, lesson, to_records, shown=shown, progress=self.progress)
 
+    def epsilon_name(self, levels: Levels, packed: QuantizedColors) -> str:
+        """Return the name of the file of an epsilon that the staircase finds."""
+        colors = colors_hash(packed.dequantize())
+        return f"epsilon-{self._key('epsilon', levels=_content(levels), colors=colors, space=self.space_hash)}.json"
+
+    def epsilon(self, levels: Levels, packed: QuantizedColors) -> Epsilon:
+        """Return epsilon, found by the staircase if the options do not say it."""
+        if self.config.epsilon is not None:
+            return Epsilon(self.config.epsilon)
+        name = self.epsilon_name(levels, packed)
+        with self._stage("epsilon") as done:
+            if not self.work.whole(name):
+                done.append(True)
+                shown = levels.member(len(levels) - 1)
+                drawn = levels.union[shown], packed.dequantize()[shown]
+                calibration = calibrate_by_flip(levels, self.space, drawn, OBSERVED, progress=self.progress)
+                made = Epsilon(DEFAULT_EPSILON) if calibration is None else Epsilon.from_staircase(calibration)
+                with atomic_path(self.work.at(name)) as partial:
+                    partial.write_text(json.dumps(asdict(made)), encoding="ascii")
+                self.work.seal_file(name)
+            return Epsilon(**parse_object(self.work.at(name), read_whole(self.work.at(name))).value)
+
     def cost_name(self, levels: Levels, exact: SrbfColors) -> str:
         """Return the name of the file of the cost of rounding."""
         views = asdict(self.config.cost_views)
@@ -350,7 +386,7 @@ class Stages:
                 self.work.seal_file(name)
             return Cost(**parse_object(self.work.at(name), read_whole(self.work.at(name))).value)
 
-    def fidelity_name(self, levels: Levels, exact: SrbfColors, sets: Path) -> str:
+    def fidelity_name(self, levels: Levels, exact: SrbfColors, sets: Path, epsilon: float) -> str:
         """Return the name of the file of the fidelity."""
         key = self._key(
             "fidelity",
@@ -358,21 +394,23 @@ class Stages:
             levels=_content(levels),
             colors=colors_hash(exact),
             sets=digest_of_folder(sets).split()[0],
-            epsilon=self.config.epsilon,
+            epsilon=epsilon,
             views=asdict(self.config.fidelity_views),
             space=self.space_hash,
         )
         return f"fidelity-{key}.json"
 
-    def fidelity(self, levels: Levels, exact: SrbfColors, packed: QuantizedColors, store: VisibilityStore) -> Fidelity:
+    def fidelity(
+        self, levels: Levels, exact: SrbfColors, packed: QuantizedColors, store: VisibilityStore, epsilon: float
+    ) -> Fidelity:
         """Return the final quality against the source scene, in views that are used for nothing else."""
-        name = self.fidelity_name(levels, exact, store.path)
+        name = self.fidelity_name(levels, exact, store.path, epsilon)
         with self._stage("fidelity") as done:
             if not self.work.whole(name):
                 done.append(True)
                 member = levels.member(len(levels) - 1)
                 contents = Contents.from_levels(levels, packed)
-                terms = CellTerms(contents.gaussians(), packed.dequantize(), store, self.config.epsilon)
+                terms = CellTerms(contents.gaussians(), packed.dequantize(), store, epsilon)
                 found = measure_fidelity(
                     self.highest,
                     contents,
@@ -386,6 +424,24 @@ class Stages:
                     partial.write_text(json.dumps(found.as_dict()), encoding="ascii")
                 self.work.seal_file(name)
             return Fidelity.from_fields(parse_object(self.work.at(name), read_whole(self.work.at(name))))
+
+    def cell_terms(
+        self, levels: Levels, packed: QuantizedColors, store: VisibilityStore, epsilon: float
+    ) -> Path | None:
+        """Return the path of the lists of active terms; None if they are computed when they are needed."""
+        if self.config.cell_terms == "computed":
+            return None
+        colors = packed.dequantize()
+        sets = digest_of_folder(store.path).split()[0]
+        key = self._key("terms", levels=_content(levels), colors=colors_hash(colors), sets=sets, epsilon=epsilon)
+        name = f"active-{key}.terms.arrow"
+        with self._stage("terms") as done:
+            if not self.work.whole(name):
+                done.append(True)
+                g = Contents.from_levels(levels, packed).gaussians()
+                list_package_terms(g, colors, store, epsilon, self.work.at(name), progress=self.progress)
+                self.work.seal_file(name)
+        return self.work.at(name)
 
     def judged(self, levels: Levels, store: VisibilityStore) -> dict[str, Any]:
         """Return the quality of the sets at eyes that are independent of navigable space."""

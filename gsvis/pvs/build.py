@@ -333,7 +333,7 @@ def _check_twice(work: Work, progress: Progress) -> dict[str, Any] | None:
     progress("check", 0, 1)
     tracer = ready_tracer(work.scene.key)
     if tracer is None:
-        tracer = Tracer(EllipsoidProxies.from_scene(work.levels.level(len(work.levels) - 1)))
+        tracer = Tracer.named(work.config.tracer, EllipsoidProxies.from_scene(work.levels.level(len(work.levels) - 1)))
     found = cross_check(tracer, rays[:, :3], rays[:, 3:])
     progress("check", 1, 1)
     return None if found is None else asdict(found)

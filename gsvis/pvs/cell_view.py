@@ -173,7 +173,8 @@ class Finder:
         rays = 0
         checked = np.zeros((0, 6))
         missed, bound, tile = (np.full(len(self.levels), np.nan) for _ in range(3))
-        for level in reversed(range(len(self.levels))):
+        certified = range(len(self.levels)) if self.config.rays else range(0)
+        for level in reversed(certified):
             found = self._mend(level, voxels, sightings, view)
             if not found.certificates:
                 continue

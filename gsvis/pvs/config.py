@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.pvs.look import METHODS
-from gsvis.raycast.tracer import TAU
+from gsvis.raycast.tracer import TAU, TRACERS
 
 __all__ = ["PvsConfig"]
 
@@ -33,7 +33,8 @@ class PvsConfig:
             most this.
         tile_limit: A finished cell also has no tile of 16 x 16 pixels around the worst rays that misses more light than
             this.
-        rays: Most rays of a certificate.
+        rays: Most rays of a certificate. 0 certifies nothing: sets stay as viewpoints found them.
+        tracer: What traces these rays: one of `TRACERS`.
         max_inner: Largest number of times that a set is repaired and certified again. A set that is still above the
             limits is kept, with its bound.
         probes: Largest number of coarse looks at the highest level, from the tips of a cell and from points far from
@@ -48,12 +49,14 @@ class PvsConfig:
     limit: float = 0.0015
     tile_limit: float = 0.1
     rays: int = 8192
+    tracer: str = "hierarchy"
     max_inner: int = 16
     probes: int = 16
     class_ratio: float = 4.0
 
     def __post_init__(self) -> None:
         _check.one_of("method", self.method, METHODS)
+        _check.one_of("tracer", self.tracer, TRACERS)
         for name, value, low, high in (
             ("tau", self.tau, 1e-6, 0.5),
             ("size", self.size, 4, 4096),
@@ -64,7 +67,7 @@ class PvsConfig:
         ):
             if not low <= value <= high:
                 raise ValueError(f"{name}: expected a value in [{low:g}, {high:g}], got {value!r}")
-        for name, least in (("size", 1), ("lower_size", 1), ("rays", 1), ("max_inner", 0), ("probes", 0)):
+        for name, least in (("size", 1), ("lower_size", 1), ("rays", 0), ("max_inner", 0), ("probes", 0)):
             _check.positive_int(name, getattr(self, name), at_least=least)
 
     @property

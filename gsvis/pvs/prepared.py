@@ -80,7 +80,7 @@ class PreparedLevels:
                 self._config.tau,
             )
         )
-        tracer = Tracer(EllipsoidProxies.from_scene(look.gaussians))
+        tracer = Tracer.named(self._config.tracer, EllipsoidProxies.from_scene(look.gaussians))
         if self._shelf is not None:
             _ = tracer.hierarchy  # it is to lie on the shelf too
         return PreparedLevel(ids, look, self._keep(Certifier(tracer)), _core_of(look.gaussians))

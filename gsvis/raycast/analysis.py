@@ -18,6 +18,7 @@ from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
 from gsvis.raycast import TAU, CrossCheck, EllipsoidProxies, Tracer, cross_check, directions, visible_in
+from gsvis.raycast.tracer import TRACERS
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
@@ -46,6 +47,7 @@ class AnalysisConfig:
 
     Attributes:
         tau: Least weight of a visible Gaussian, in (0, 1].
+        tracer: What traces the pixels of cameras: one of `TRACERS`. Directions outward are traced by our hierarchy.
         traced_sample: Number of random Gaussians whose directions are traced outward; 0 traces none.
         rays_per_face: Traced rays over each of the 80 faces: 1, 4, 16 or 64. A face counts if any part of it is
             seen, so more rays find more faces.
@@ -54,6 +56,7 @@ class AnalysisConfig:
     """
 
     tau: float = TAU
+    tracer: str = "hierarchy"
     traced_sample: int = 5000
     rays_per_face: int = 16
     checked_rays: int = 256
@@ -62,6 +65,7 @@ class AnalysisConfig:
     def __post_init__(self) -> None:
         if not 0.0 < self.tau <= 1.0:
             raise ValueError(f"tau: expected a weight in (0, 1], got {self.tau!r}")
+        _check.one_of("tracer", self.tracer, TRACERS)
         _check.positive_int("traced_sample", self.traced_sample, at_least=0)
         for name in ("checked_rays", "seed"):
             _check.positive_int(name, getattr(self, name), at_least=0)
@@ -345,7 +349,7 @@ def analyze(
         got = f"one for a scene of {len(tracer.proxies.gaussians):,} Gaussians"
         raise ValueError(f"tracer: expected a tracer of these {len(g):,} Gaussians, got {got}; omit it to build one")
     progress("structure", 0, 1)
-    tracer = tracer or Tracer(EllipsoidProxies.from_scene(g))
+    tracer = tracer or Tracer.named(config.tracer, EllipsoidProxies.from_scene(g))
     _ = tracer.hierarchy
     progress("structure", 1, 1)
     rng = np.random.default_rng(config.seed)

@@ -35,7 +35,7 @@ def ray_image(
         raise ValueError(f"camera: expected one camera, got {len(camera)}; index it, as in cameras[0]")
     g = tracer.proxies.gaussians
     image = np.empty((camera.height * camera.width, 3), np.float32)
-    for start, part in tracer.iter_contributions(*camera.rays()):
+    for start, part in tracer.iter_contributions(*camera.rays(), search="hierarchy"):
         seen, where = np.unique(part.gaussian_ids, return_inverse=True)
         some = g[seen]
         toward = some.means.astype(np.float64) - camera.viewpoints[0]

@@ -51,7 +51,8 @@ def cross_check(tracer: Tracer, rays_o: ArrayLike, rays_d: ArrayLike) -> CrossCh
         twin = tracer.contributions_by_parts(rays_o, rays_d)
     except BackendError:
         return None
-    return compare(tracer.contributions(rays_o, rays_d), twin, first_equal(tracer.proxies.gaussians))
+    ours = tracer.contributions(rays_o, rays_d, search="hierarchy")
+    return compare(ours, twin, first_equal(tracer.proxies.gaussians))
 
 
 def compare(one: Contributions, other: Contributions, ties: NDArray[np.int64]) -> CrossCheck:

@@ -19,7 +19,7 @@ from gsvis.raycast.engines import ENGINES, Engine, fastest_engine
 from gsvis.raycast.hierarchy import Hierarchy
 from gsvis.raycast.proxies import EllipsoidProxies
 
-__all__ = ["MAX_ALPHA", "MIN_TRANSMITTANCE", "TAU", "Contributions", "FirstHits", "Tracer"]
+__all__ = ["MAX_ALPHA", "MIN_TRANSMITTANCE", "TAU", "TRACERS", "Contributions", "FirstHits", "Tracer"]
 
 MAX_ALPHA = 0.999
 """Upper bound of alpha."""
@@ -28,6 +28,10 @@ MIN_TRANSMITTANCE = 1e-4
 TAU = 1.0 / 255.0
 """Default least weight of a visible Gaussian."""
 
+TRACERS = ("hierarchy", "embree")
+"""Names of tracers; see `Tracer.named`."""
+
+_SEARCHES = ("hierarchy", "faces")
 _ROW = 128  # initial capacity of a ray's row; the few rays with more hits are traced again
 _BYTES_A_HIT = 16
 _PART = 1 << 16  # proxies whose triangles an engine holds at a time
@@ -107,15 +111,30 @@ class Tracer:
         proxies: Proxies of the scene.
         engine: "open3d" (all cores, extra 'open3d') or "embreex" (one core); both are Embree. None takes the first
             that is installed.
+        search: How contributions are found if a call does not say it: "hierarchy" or "faces"; see `contributions`.
 
     Raises:
         ValueError: If the engine is unknown.
         BackendError: On first use, if Open3D was asked for and is missing; says what to install.
     """
 
-    def __init__(self, proxies: EllipsoidProxies, engine: str | None = None) -> None:
+    def __init__(self, proxies: EllipsoidProxies, engine: str | None = None, search: str = "hierarchy") -> None:
+        self.search = _check.one_of("search", search, _SEARCHES)
         self.engine = fastest_engine() if engine is None else _check.one_of("engine", engine, tuple(ENGINES))
         self.proxies = proxies
+
+    @classmethod
+    def named(cls, name: str, proxies: EllipsoidProxies) -> Tracer:
+        """Return the tracer with a name.
+
+        Args:
+            name: One of `TRACERS`: "hierarchy", our own over ellipsoids; or "embree", Open3D's over the meshes of the
+                proxies, which lists every face on a ray and is many times slower.
+            proxies: Proxies of the scene.
+        """
+        if _check.one_of("tracer", name, TRACERS) == "embree":
+            return cls(proxies, engine="open3d", search="faces")
+        return cls(proxies)
 
     def __repr__(self) -> str:
         return f"Tracer({self.proxies!r}, engine={self.engine!r})"
@@ -166,7 +185,7 @@ class Tracer:
         return FirstHits(t_hit, ids)
 
     def contributions(
-        self, rays_o: ArrayLike, rays_d: ArrayLike, *, search: str = "hierarchy", max_memory: int = 256 << 20
+        self, rays_o: ArrayLike, rays_d: ArrayLike, *, search: str | None = None, max_memory: int = 256 << 20
     ) -> Contributions:
         """Return all Gaussians that contribute to each ray, front to back.
 
@@ -175,6 +194,7 @@ class Tracer:
             rays_d: (R, 3) directions, any non-zero length.
             search: "hierarchy" traverses the ellipsoids and stops where light is spent; "faces" first lists every
                 proxy face by the engine (engine "open3d"). Both give the same result; the second is the slower twin.
+                None takes that of the tracer.
             max_memory: Working memory in bytes, beside the result; rays are traced in chunks that fit.
 
         Raises:
@@ -185,14 +205,14 @@ class Tracer:
         return Contributions.concatenate([part for _, part in chunks])
 
     def iter_contributions(
-        self, rays_o: ArrayLike, rays_d: ArrayLike, *, search: str = "hierarchy", max_memory: int = 256 << 20
+        self, rays_o: ArrayLike, rays_d: ArrayLike, *, search: str | None = None, max_memory: int = 256 << 20
     ) -> Iterator[tuple[int, Contributions]]:
         """Return `contributions` chunk by chunk, for results larger than memory.
 
         Yields:
             The index of the chunk's first ray, and the contributions of its rays.
         """
-        _check.one_of("search", search, ("hierarchy", "faces"))
+        search = _check.one_of("search", search or self.search, _SEARCHES)
         _check.positive_int("max_memory", max_memory)
         rays_o, rays_d = _rays(rays_o, rays_d)
         step = min(_CHUNK_RAYS, max(64, max_memory // (2 * _ROW * _BYTES_A_HIT)))

@@ -106,6 +106,11 @@ def visible_from(
 
 def _largest(tracer: Tracer, rays_o: F64, rays_d: F64) -> F32:
     """Return the largest weight of each Gaussian over the rays."""
+    if tracer.search == "faces":
+        found = np.zeros(len(tracer.proxies.gaussians), np.float32)
+        for _, part in tracer.iter_contributions(rays_o, rays_d):
+            np.maximum.at(found, part.gaussian_ids, part.weights)
+        return found
     hierarchy = tracer.hierarchy
     rows = np.zeros((get_num_threads(), len(hierarchy.ids)), np.float32)
     _kernels.largest_weights(*hierarchy.arrays, rays_o, rays_d, tracer.limits, rows)

@@ -250,6 +250,7 @@ def open_scenes(
     max_cache_bytes: int = 512 << 20,
     warm: bool = False,
     quality: Quality | None = None,
+    terms: str = "pose",
     tables: str | PathLike[str] | None = None,
     log: EventLog | None = None,
 ) -> Scenes:
@@ -261,6 +262,7 @@ def open_scenes(
         max_cache_bytes: Most bytes of decoded data of cells, for all scenes together.
         warm: Whether to load what the first viewers would wait for; takes some seconds for a large scene.
         quality: How to round records before they are sent; None means not at all.
+        terms: Which terms are sent: one of `gsvis.stream.scene.TERMS`.
         tables: Folder for kept tables (`gsvis.stream.kept`); None decodes scenes into memory and never closes them.
         log: Log of events.
 
@@ -285,7 +287,9 @@ def open_scenes(
             raise ValueError(f"packages: expected different names, got {name!r} twice; rename a folder")
         try:
             share = max_cache_bytes // len(packages)
-            served = open_scene(path, name, max_cache_bytes=share, warm=warm, quality=quality, tables=tables)
+            served = open_scene(
+                path, name, max_cache_bytes=share, warm=warm, quality=quality, terms=terms, tables=tables
+            )
         except Exception as error:  # a reader that fails in a way of its own must not keep the others from being served
             expected = isinstance(error, GsvisError | OSError)
             why = str(error) if expected else f"{type(error).__name__}: {error}"
@@ -308,6 +312,7 @@ def open_scene(
     max_cache_bytes: int = 512 << 20,
     warm: bool = False,
     quality: Quality | None = None,
+    terms: str = "pose",
     tables: str | PathLike[str] | None = None,
 ) -> ServedScene:
     """Open one package or static scene.
@@ -318,6 +323,7 @@ def open_scene(
         max_cache_bytes: Most bytes of decoded data of cells.
         warm: Whether to load what the first viewers would wait for.
         quality: How to round records before they are sent; None means not at all.
+        terms: Which terms are sent: one of `gsvis.stream.scene.TERMS`.
         tables: Folder for kept tables; None decodes the scene into memory.
 
     Raises:
@@ -331,6 +337,11 @@ def open_scene(
 
     def reopen() -> Opened:
         """Open the package or world."""
+        scene, kept = open_any()
+        return scene.sending(terms), kept
+
+    def open_any() -> Opened:
+        """Open the package or world, with terms chosen by pose."""
         if is_world(folder):
             from gsvis.world.streamed import open_world  # seldom needed
 

@@ -100,6 +100,7 @@ class Place:
         reference: Gaussians | None = None,
         whole_file: str | os.PathLike[str] | None = None,
         as_is: bool = False,
+        terms: str = "pose",
     ) -> Place:
         """Prepare a package for visits; it must stay open.
 
@@ -108,12 +109,13 @@ class Place:
             reference: The scene before it was packaged.
             whole_file: A file or folder of the scene, to take its size; None measures the best format.
             as_is: Whether to leave walks unchanged, because they lie in the scene.
+            terms: Which terms are sent: one of `gsvis.stream.scene.TERMS`.
 
         Raises:
             SceneError: If the scene is empty, or has no navigable space.
             ArgumentError: If the whole file is empty.
         """
-        scene = StreamedScene.open(package)
+        scene = StreamedScene.open(package).sending(terms)
         contents = scene.contents
         highest = np.asarray(contents.last == len(contents.names) - 1)
         find = None if as_is else partial(_find_space, package=package)

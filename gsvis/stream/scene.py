@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Any
 
@@ -31,7 +31,10 @@ from gsvis.stream.header import SceneHeader
 from gsvis.stream.piecewise import SceneTables, make_tables
 from gsvis.stream.source import SceneSource, as_source
 
-__all__ = ["RecordTables", "StreamedScene"]
+__all__ = ["TERMS", "RecordTables", "StreamedScene"]
+
+TERMS = ("pose", "cell")
+"""Ways to choose the terms that are sent; see `StreamedScene.sending`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +159,17 @@ class StreamedScene:
         cache: Cache[Any] = Cache(max_cache_bytes, keep_last=True)
         other.candidates = CandidateIndex(index, pixel=self._pixel, stored=stored, cache=cache)
         return other
+
+    def sending(self, terms: str) -> StreamedScene:
+        """Return the same scene with another choice of the terms that are sent.
+
+        Args:
+            terms: One of `TERMS`. "pose": those that change the image for the eye. "cell": all that are active
+                somewhere in the cell of the eye (SRBF-Gaussian, section 6.2).
+        """
+        if _check.one_of("terms", terms, TERMS) == "pose" or self.index.cones is None:
+            return self
+        return self.with_index(replace(self.index, cones=None))
 
     @property
     def coding(self) -> Coding:

@@ -23,7 +23,7 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.images import PosedImages
 
-__all__ = ["IMPORTANCE_METHODS", "ROUNDS", "importance", "most_important", "prune", "read_rounds"]
+__all__ = ["IMPORTANCE_METHODS", "ROUNDS", "importance", "most_important", "prune", "rank_by_error", "read_rounds"]
 
 ROUNDS = "rounds.npz"
 """File name of the finished rounds in a folder of unfinished work."""
@@ -141,6 +141,42 @@ def most_important(gaussians: Gaussians, importance: ArrayLike, count: int) -> N
     keys = [key for column in columns for key in column.T]
     chosen[equal[np.lexsort(keys[::-1])[: count - int(chosen.sum())]]] = True
     return np.asarray(chosen)
+
+
+def rank_by_error(
+    gaussians: Gaussians,
+    views: PosedImages,
+    counts: Sequence[int],
+    *,
+    photographs: bool,
+    progress: Progress = silent,
+) -> list[NDArray[np.bool_]]:
+    """Find nested subsets by equation 6 of the paper: measured once, and the most important ones stay.
+
+    Renders of the scene itself have no error, and so no gradient. Then the finite difference takes its place: how much
+    error, absolute and per pixel, the removal of a Gaussian makes.
+
+    Args:
+        gaussians: N Gaussians.
+        views: All training views.
+        counts: Requested sizes, each 1 to N.
+        photographs: Whether the images are photographs, not renders of these Gaussians.
+        progress: Called with stage "prune"; counts views.
+
+    Returns:
+        A mask (N,) for each count; those of smaller counts are subsets of the others.
+
+    References:
+        SRBF-Gaussian, section 6.1, equation 6.
+    """
+
+    def report(stage: str, done: int, total: int) -> None:
+        """Report progress as that of a choice."""
+        progress("prune", done, total)
+
+    method = "gradient" if photographs else "absolute"
+    values = importance(gaussians, views, method=method, progress=report)
+    return [most_important(gaussians, values, count) for count in counts]
 
 
 def prune(

@@ -34,15 +34,18 @@ from gsvis.train.config import DensifyConfig, TrainConfig
 from gsvis.train.fill_in import fit_opacities
 from gsvis.train.history import Record
 from gsvis.train.images import PosedImages
-from gsvis.train.importance import ROUNDS, prune
+from gsvis.train.importance import ROUNDS, prune, rank_by_error
 from gsvis.train.pairs import merge_pairs
 
-__all__ = ["SUBSETS", "LevelsConfig", "TrainedLevels", "frozen_sizes", "train_levels"]
+__all__ = ["CHOICES", "SUBSETS", "LevelsConfig", "TrainedLevels", "frozen_sizes", "train_levels"]
 
 SUBSETS = "subsets.npz"
 """File name of the chosen subsets in a folder of unfinished work."""
 
 Mask = NDArray[np.bool_]
+
+CHOICES = ("removal", "gradient")
+"""Ways to choose the Gaussians that stay in lower levels."""
 
 _PREVIEW_NAME = "preview"
 _CHOICE = 2  # increase it if the same cameras would choose different Gaussians
@@ -63,6 +66,8 @@ class LevelsConfig:
         most_share: Largest number of Gaussians of a level to clone at a time, as a share of all.
         prune_share: Share of the remaining Gaussians that one round of `prune` removes, if the views choose the frozen
             Gaussians.
+        importance: How Gaussians that stay are chosen: one of `CHOICES`. "removal": by what their removal changes while
+            most others go too. "gradient": by equation 6, at once for all levels; see `rank_by_error`.
         looks: Number of views of such a round, None for all. With separate cameras for choosing: the number of looks of
             `choose_subsets`, None for its default.
         evaluate_every: Steps between measurements on held-out views; 0 measures only at the end.
@@ -81,6 +86,7 @@ class LevelsConfig:
     threshold: float = 4e-4
     most_share: float = 0.01
     prune_share: float = 0.35
+    importance: str = "removal"
     looks: int | None = None
     evaluate_every: int = 500
     seed: int = 0
@@ -119,6 +125,7 @@ class LevelsConfig:
             raise ValueError(f"merged: expected a share in [0, 1], got {self.merged!r}")
         if not 0.0 < self.prune_share < 1.0:
             raise ValueError(f"prune_share: expected a share in (0, 1), got {self.prune_share!r}")
+        _check.one_of("importance", self.importance, CHOICES)
         if self.looks is not None:
             _check.positive_int("looks", self.looks)
         self.training(2, 1)
@@ -294,6 +301,8 @@ def _subsets(
 
     def choose(kept: KeptWork | None = None) -> list[Mask]:
         """Return the masks, chosen by cameras or views."""
+        if config.importance == "gradient":
+            return rank_by_error(scene, views, counts, photographs=choose_by is None, progress=progress)
         if choose_by is None:
             share = config.prune_share
             looks = config.looks
@@ -306,6 +315,7 @@ def _subsets(
     shape = cameras.width, cameras.height
     hides = None if space is None else sight_hash(space)
     rules = [_CHOICE, scene_hash(scene), counts, config.prune_share, config.looks, shape, choose_by is not None, hides]
+    rules += [] if config.importance == "removal" else [config.importance]
     digest = hashlib.sha256()
     for array in (views.images, views.cameras.viewmats, views.cameras.Ks, cameras.viewmats, cameras.Ks):
         digest.update(np.ascontiguousarray(array).data)

@@ -41,6 +41,7 @@ def open_place(
     reference: Gaussians | None = None,
     whole_file: str | os.PathLike[str] | None = None,
     as_is: bool = False,
+    terms: str = "pose",
     seed: int = 0,
 ) -> Place:
     """Prepare a world for simulated visits.
@@ -54,6 +55,7 @@ def open_place(
         reference: The source scenes; None compares with the highest level of all tiles.
         whole_file: A file or folder with the scenes, for its size; None measures the highest level as SOG.
         as_is: Whether to leave walks unchanged.
+        terms: Which terms are sent: one of `gsvis.stream.scene.TERMS`.
         seed: Seed that draws the tile for a walk.
 
     Raises:
@@ -65,6 +67,7 @@ def open_place(
     source = WorldSource.open(path, strict=True)
     with temporary_folder() as folder:  # a mapped file stays readable after it is deleted
         scene, _ = open_kept(source, folder)
+    scene = scene.sending(terms)
     contents = scene.contents
     highest = np.zeros(len(contents), bool)
     tiles = source.tiles

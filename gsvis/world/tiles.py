@@ -232,9 +232,10 @@ def config_of(value: dict[str, Any]) -> PrepareConfig:
         cells=value["cells"],
         cell_size=value["cell_size"],
         sets=PvsConfig(**value["sets"]),
-        colors=ColorConfig(FitConfig(**fit), ViewSampling(**colors["views"]), colors["rays_per_face"]),
+        colors=ColorConfig(
+            FitConfig(**fit), ViewSampling(**colors["views"]), colors["rays_per_face"], colors["directions"]
+        ),
         epsilon=value["epsilon"],
-        epsilon_from=value["epsilon_from"],
         cost_views=ViewSampling(**value["cost_views"]),
         fidelity_views=ViewSampling(**value["fidelity_views"]),
         meters_per_unit=value["meters_per_unit"],

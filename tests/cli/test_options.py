@@ -24,9 +24,9 @@ KINDS = {command_name(kind): kind for kind in get_args(Command)}
 SAME: dict[type, tuple[type, dict[str, str]]] = {
     arguments.Tracing: (AnalysisConfig, {}),
     arguments.CertifiedSets: (PvsConfig, {"face_size": "size", "certify": "rays"}),
-    arguments_publish.MendedSets: (PvsConfig, {"face_size": "size"}),
+    arguments_publish.MendedSets: (PvsConfig, {"face_size": "size", "certify": "rays"}),
     arguments.Quality: (QualityConfig, {"eyes": "viewpoints", "raycast": "rays"}),
-    arguments.AnyFit: (FitConfig, {}),
+    options.Fit: (FitConfig, {}),
     arguments_publish.FilteredFit: (FitConfig, {}),
     arguments.Viewing: (ViewingConfig, {}),
     arguments_edit.Search: (CleanConfig, {"min_psnr": "least_db", "max_changed": "most_changed"}),
@@ -88,7 +88,7 @@ def test_a_configuration_takes_what_is_given() -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        "color a.ply -o b.arrow --mean-terms all --epsilon auto --up '0 0 1' --box 0 0 0 1 1 1 --no-refine",
+        "color a.ply -o b.arrow --mean-terms all --epsilon auto --up '0 0 1' --box 0 0 0 1 1 1 --fit omp",
         "prepare a.ply -o b.gsvis --levels none --max-memory 2GB --names low high --around auto --limit 0.002",
         "world a.ply b.ply -o c.gsworld --lod 3,2 --angle 0.01 --work s3://a/b --until tiles",
         "render a.ply -o b/ --index 3 5 --cameras c.json --background 0 0.5 1 --contributors 3,4",

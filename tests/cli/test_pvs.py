@@ -103,7 +103,7 @@ def test_what_a_store_without_certificates_or_a_second_tracer_says() -> None:
     from gsvis.cli.pvs import spell_certificates
     from gsvis.pvs.stored_certificates import StoredCertificates
 
-    assert "older version" in dict(spell_certificates(StoredCertificates.none(3), None))["light missed"]
+    assert dict(spell_certificates(StoredCertificates.none(3), None)) == {"light missed": "not certified by rays"}
     one, share = np.ones(2, np.int64), np.array([0.001, np.nan])
     rows = dict(spell_certificates(StoredCertificates(one, 256 * one, share, 2.0 * share, share), None))
     assert rows["light missed"].startswith("0.100% on average, 0.100% in the worst cell")
@@ -183,7 +183,7 @@ def test_contradictions_and_impossible_wishes_are_refused_before_the_work(
         (["--face-size", "3"], "4 to 4096"),
         (["--tau", "0.6"], "0.5"),
         (["--limit", "2"], "share"),
-        (["--certify", "0"], "at least 1"),
+        (["--certify", "-1"], "at least 0"),
         (["--max-inner", "0.5"], "at least 0"),
         (["--growth", "0.1"], "--growth"),
         (["--max-viewpoints", "4"], "--max-viewpoints"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gsvis.prepare.colors as module
-from gsvis.color.fit import FitConfig
+from gsvis.color.fit import FitConfig, fit_srbf
 from gsvis.color.srbf import SrbfColors
 from gsvis.errors import SceneError
 from gsvis.prepare.color_quality import PSNR_CAP, ColorQualityConfig, measure_colors
@@ -46,6 +46,16 @@ def test_directions_are_those_of_tracing_and_of_the_views() -> None:
     given = prepare_colors(g, scene.navigable, QUICK, sets=traced)
     assert np.array_equal(given.sets, found.sets)
     assert same(given.fit.colors, found.fit.colors)
+
+
+def test_faces_of_the_paper_are_gathered_from_views_and_all_count_alike() -> None:
+    scene, g = rooms(), rooms().gaussians
+    config = ColorConfig(FitConfig("hsl", max_terms=3, mean_terms=1.0, refine=False), QUICK.views, 0, "faces")
+    found = prepare_colors(g, scene.navigable, config)
+    seen = importance_from_views(g, QUICK.views.cameras(g, scene.navigable))
+    assert np.array_equal(found.sets, seen.sets)
+    assert same(found.fit.colors, fit_srbf(g, seen.sets, config.fit, importance=seen.importance).colors)
+    assert found.fit.colors.variant == "hsl"
 
 
 def test_directions_weigh_by_their_set_and_by_what_views_see_of_them() -> None:
@@ -135,6 +145,8 @@ def test_what_is_wrong_is_refused_by_name() -> None:
         ColorConfig(rays_per_face=2)
     with pytest.raises(ValueError, match="rays_per_face"):
         ColorConfig(views=ViewSampling(0), rays_per_face=0)
+    with pytest.raises(ValueError, match="directions: expected one of"):
+        ColorConfig(directions="all")
     with pytest.raises(ValueError, match="fov"):
         ViewSampling(fov=0.5)
     with pytest.raises(ValueError, match="epsilons"):

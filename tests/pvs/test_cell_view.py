@@ -284,6 +284,25 @@ def test_a_set_is_found_without_any_viewpoint() -> None:
     assert view.figures.viewpoints == view.figures.inner > 0
 
 
+def test_without_rays_a_set_is_what_looks_and_probes_find_and_has_no_certificate() -> None:
+    """The paper's way: z-buffer and hidden points, and nothing after them."""
+    voxels, sightings = rooms()[1].voxels(3), sightings_of(3)
+    bare = another(rays=0).find_cell(voxels, sightings)
+    assert (bare.figures.rays, len(bare.checked)) == (0, 0)
+    assert np.isnan([bare.figures.missed, bare.figures.bound, bare.figures.tile]).all()
+    unprobed = another(rays=0, probes=0).find_cell(voxels, sightings)
+    assert np.array_equal(unprobed.ids, np.unique(np.concatenate([seen.ids for seen in sightings])))
+    assert np.isin(unprobed.ids, bare.ids).all()
+    assert np.isin(bare.ids, rooms()[0].find_cell(voxels, sightings).ids).all()
+
+
+def test_both_tracers_find_the_same_set() -> None:
+    voxels, sightings = rooms()[1].voxels(3), sightings_of(3)
+    by_embree = another(tracer="embree")
+    assert by_embree.tracer.search == "faces"
+    assert same(by_embree.find_cell(voxels, sightings), rooms()[0].find_cell(voxels, sightings))
+
+
 def test_the_light_that_a_found_set_misses_lies_below_its_bound() -> None:
     finder, viewpoints, _ = rooms()
     tracer, rng = Tracer(EllipsoidProxies.from_scene(finder.levels.union)), np.random.default_rng(0)
@@ -400,7 +419,8 @@ def test_a_level_in_which_a_cell_is_buried_does_not_count() -> None:
         {"limit": float("nan")},
         {"tile_limit": 0.0},
         {"tile_limit": 2.0},
-        {"rays": 0},
+        {"rays": -1},
+        {"tracer": "optix"},
         {"rays": 1.5},
         {"max_inner": -1},
         {"max_inner": True},

@@ -46,6 +46,14 @@ def analysis() -> Analysis:
     return analyze(rooms().gaussians, views(), SMALL, navigable=rooms().navigable)
 
 
+def test_both_tracers_see_the_same_in_the_same_views() -> None:
+    ours = analyze(rooms().gaussians, views(3), replace(SMALL, traced_sample=0))
+    embree = analyze(rooms().gaussians, views(3), replace(SMALL, traced_sample=0, tracer="embree"))
+    assert np.array_equal(embree.visible, ours.visible)
+    assert np.array_equal(embree.gathered_sets, ours.gathered_sets)
+    assert embree.as_dict()["config"]["tracer"] == "embree"
+
+
 def lone_ball() -> Gaussians:
     return Gaussians(np.zeros((1, 3)), [[1, 0, 0, 0]], np.full((1, 3), 0.1), [0.9], np.zeros((1, 1, 3)))
 

@@ -37,6 +37,27 @@ def test_contributions_equal_the_oracle(kind: str, search: str) -> None:
     assert_same(got, brute_force_contributions(g, rays_o, rays_d))
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_tracer_of_the_paper_asks_embree_and_agrees(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    g, (rays_o, rays_d), asked = scene(kind), rays(kind), list[int]()
+    proxies = EllipsoidProxies.from_scene(g)
+    embree = Tracer.named("embree", proxies)
+    all_faces = embree.embree.all_faces
+
+    def noting(*some: Any) -> Any:
+        asked.append(len(some[0]))
+        return all_faces(*some)
+
+    monkeypatch.setattr(embree.embree, "all_faces", noting)
+    assert_same(embree.contributions(rays_o, rays_d), Tracer.named("hierarchy", proxies).contributions(rays_o, rays_d))
+    assert sum(asked) == len(rays_o)
+
+
+def test_a_tracer_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(ValueError, match="tracer: expected one of"):
+        Tracer.named("optix", EllipsoidProxies.from_scene(scene("blobs")))
+
+
 @pytest.mark.parametrize("search", ["hierarchy", "faces"])
 def test_discs_of_one_wall_are_all_found(search: str) -> None:
     x, y = np.meshgrid(np.linspace(-1.0, 1.0, 12), np.linspace(-1.0, 1.0, 12))

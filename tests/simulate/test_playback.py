@@ -41,6 +41,25 @@ def test_nothing_is_sent_twice_and_the_link_is_never_overrun(scene: StreamedScen
     assert np.all(np.diff(p.times) >= 0)
 
 
+def test_terms_of_the_paper_are_those_that_are_active_in_cells(scene: StreamedScene) -> None:
+    by_cell = scene.sending("cell")
+    assert by_cell.index.cones is None
+    assert scene.sending("pose") is scene
+    assert by_cell.sending("cell") is by_cell
+    abr = AbrConfig(policy="fov-first", fill=False)
+    p = play(Adaptive(by_cell, QUICK.view, abr), FAST, walk(), size_of(scene), seconds=4.0)
+    active = scene.index.active
+    assert active is not None
+    ever = np.unique(np.concatenate([active.active_ids(cell) for cell in range(len(scene.index.grid))]))
+    arrived = np.flatnonzero(np.isfinite(p.term_at))
+    assert len(arrived)
+    assert np.isin(arrived, ever).all()
+    by_pose = play(Adaptive(scene, QUICK.view, abr), FAST, walk(), size_of(scene), seconds=4.0)
+    assert not np.array_equal(np.flatnonzero(np.isfinite(by_pose.term_at)), arrived)
+    with pytest.raises(ValueError, match="terms: expected one of"):
+        scene.sending("all")
+
+
 def test_a_receiver_of_the_same_bytes_shows_what_the_playback_says(scene: StreamedScene) -> None:
     receiver = Receiver(scene.header)
     delivery = Adaptive(scene, QUICK.view, AbrConfig(start_rate=5e3))

@@ -15,7 +15,7 @@ from gsvis.render.removal import RemovalEffects
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.images import PosedImages
-from gsvis.train.importance import IMPORTANCE_METHODS, ROUNDS, importance, most_important, prune
+from gsvis.train.importance import IMPORTANCE_METHODS, ROUNDS, importance, most_important, prune, rank_by_error
 from tests.raycast.scenes import scene
 
 
@@ -58,6 +58,21 @@ def test_error_and_removal_are_what_removing_does() -> None:
         np.testing.assert_allclose(removal[index], error(rest, own), atol=1e-6)
         np.testing.assert_allclose(by_error[index], error(rest, aims) - error(g, aims), atol=1e-6)
     np.testing.assert_array_equal(importance(g, aims), removal)
+
+
+def test_equation_6_chooses_at_once_by_photographs_and_by_renders() -> None:
+    g, cameras = scene("mixed", n=60), views()
+    aims = photographs(scene("blobs", seed=2, n=60), cameras)
+    calls: list[tuple[str, int, int]] = []
+    half, fifth = rank_by_error(g, aims, [30, 12], photographs=True, progress=lambda *call: calls.append(call))
+    assert calls == [("prune", i, 3) for i in range(4)]
+    assert (half.sum(), fifth.sum()) == (30, 12)
+    assert not (fifth & ~half).any()
+    by_slope = importance(g, aims, method="gradient")
+    assert by_slope[half].min() >= by_slope[~half].max()
+    (of_renders,) = rank_by_error(g, photographs(g, cameras), [30], photographs=False)
+    by_change = importance(g, cameras, method="absolute")
+    assert by_change[of_renders].min() >= by_change[~of_renders].max()
 
 
 def test_gradient_is_the_slope_of_the_error_by_size() -> None:

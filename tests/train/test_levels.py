@@ -16,6 +16,7 @@ from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.train.images import PosedImages, render_views
+from gsvis.train.importance import rank_by_error
 from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
 from gsvis.train.likeness import mean_psnr
 from gsvis.train.trainer import TrainConfig
@@ -88,6 +89,22 @@ def test_levels_are_no_larger_than_asked_and_share_at_least_as_much(trained: Tra
         assert levels.counts[k] <= share * COUNT
         assert levels.reuse[k] >= reuse
         assert frozen_of(levels, k).sum() == CONFIG.sizes(COUNT)[k][1]
+
+
+def test_levels_of_the_paper_keep_what_equation_6_ranks_first_and_grow_by_clones(
+    scene: Gaussians, views: PosedImages
+) -> None:
+    config = replace(CONFIG, importance="gradient", merged=0.0, evaluate_every=0)
+    levels = train_levels(scene, views, config).levels
+    sizes = config.sizes(COUNT)
+    chosen = rank_by_error(scene, views, [sizes[1][1], sizes[0][1]], photographs=True)
+    for k, mask in ((1, chosen[0]), (0, chosen[1])):
+        assert np.array_equal(frozen_of(levels, k)[:COUNT], mask)
+        most = 1 + (config.iterations // 4) * max(1, int(config.most_share * sizes[k][0]))
+        own = levels.member(k)[COUNT:].sum()
+        assert 1 <= own <= min(sizes[k][0] - sizes[k][1], most)
+    with pytest.raises(ValueError, match="importance: expected one of"):
+        LevelsConfig(importance="weight")
 
 
 def test_the_union_begins_with_the_scene_and_frozen_ones_are_its_own_to_the_bit(
