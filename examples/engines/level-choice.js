@@ -1,14 +1,21 @@
 // Which level of each leaf to draw within a budget, and in which order to load: most error removed per splat, or per
-// byte, first. The error of a leaf is its light in a cell times the error of a level. No dependencies.
+// byte, first. The error of a leaf is its light in a cell times the error of a level.
 //
 //   const scene = await NeededLeaves.open("scene/");
 //   const views = [{ position: [x, y, z], forward: [dx, dy, dz] }];
 //   const { lods, splats } = chooseLevels(scene, views, 1e6);  // -1: do not draw this leaf
 //   for (const [leaf, lod] of loadOrder(scene, views, lods)) ...
+import { levelsByDistance } from "./by-distance.js";
 import { power } from "./needed-leaves.js";
 
 const BEHIND = 1 / 16; // worth of a leaf that is not in the view
 const BESIDE = 1 / 64, ELSEWHERE = 1 / 4096; // worth of light in neighboring cells, and in any cell, where a budget is to be filled
+
+/** Returns the rows of a view: of its cell; with `fill`, of the neighboring cells, too, each with its share of the worth. */
+function rowsOf(scene, position, fill) {
+  const cell = scene.cellAt(position), near = fill && cell ? scene.neighbors(cell) : [];
+  return [[cell?.row ?? 0, 1], ...near.map(({ row }) => [row, BESIDE])];
+}
 
 /** Returns the worth of each leaf: its light, the largest of all views.
  *
@@ -17,19 +24,30 @@ const BESIDE = 1 / 64, ELSEWHERE = 1 / 4096; // worth of light in neighboring ce
 export function leafLights(scene, views, fill = false) {
   const lights = new Float64Array(scene.leaves.length);
   for (const { position, forward = null, weight = 1 } of views) {
-    const cell = scene.cellAt(position), parts = [[cell?.row ?? 0, weight]];
-    if (fill) parts.push(...(cell ? scene.neighbors(cell) : []).map(({ row }) => [row, weight * BESIDE]), [0, weight * ELSEWHERE]);
+    const parts = [...rowsOf(scene, position, fill), ...(fill ? [[0, ELSEWHERE]] : [])];
     const near = scene.leaves.map((_, leaf) => (!forward || scene.ahead(leaf, position, forward) ? 1 : BEHIND));
     for (const [row, share] of parts) {
-      scene.rows[row].forEach((byte, leaf) => { if (byte) lights[leaf] = Math.max(lights[leaf], share * near[leaf] * power(byte - 255)); });
+      scene.rows[row].forEach((byte, leaf) => { if (byte) lights[leaf] = Math.max(lights[leaf], weight * share * near[leaf] * power(byte - 255)); });
     }
   }
   return lights;
 }
 
+/** Returns the coarsest level that each leaf may have: that by distance, if a camera looks at it and its cell (or a neighboring one, for `fill`) sees it; else -1. */
+function leastLevels(scene, views, most, fill) {
+  const lods = levelsByDistance(scene, views, most), cameras = views.filter(({ weight = 1 }) => weight >= 1);
+  return lods.map((lod, leaf) => {
+    const sees = ({ position, forward = null }) => (!forward || scene.ahead(leaf, position, forward)) && rowsOf(scene, position, fill).some(([row]) => scene.rows[row][leaf]);
+    return cameras.some(sees) ? lod : -1;
+  });
+}
+
+/** Returns the error of a leaf at a level, -1 for not drawn. */
+const errorOf = ({ leaves, header }, leaf, lod) => (lod < 0 ? header.absent : leaves[leaf].errors[lod]);
+
 /** Returns the next step of a leaf from a level (-1: not drawn) that costs at most `left`: the one that removes most error for its cost. */
-function nextStep({ leaves, header }, leaf, light, from, left, { cost, last }) {
-  const { lods, errors } = leaves[leaf], error = from < 0 ? header.absent : errors[from];
+function nextStep(scene, leaf, light, from, left, { cost, last }) {
+  const { lods, errors } = scene.leaves[leaf], error = errorOf(scene, leaf, from);
   let best = null;
   for (let lod = (from < 0 ? lods.length : from) - 1; lod >= last(leaf); lod--) {
     if (!lods[lod] || errors[lod] >= error) continue;
@@ -39,12 +57,12 @@ function nextStep({ leaves, header }, leaf, light, from, left, { cost, last }) {
   return best;
 }
 
-/** Yields the steps of all leaves, best first, as long as one fits into the budget. */
+/** Yields the steps of all leaves from the level where each begins, best first, as long as one fits into the budget. */
 function* takeSteps(scene, lights, budget, rules) {
   let left = budget;
   const next = (leaf, from) => nextStep(scene, leaf, lights[leaf], from, left, rules);
   const before = (a, b) => b.gain - a.gain || a.leaf - b.leaf;
-  const waiting = [...lights.keys()].flatMap((leaf) => (lights[leaf] > 0 ? next(leaf, -1) ?? [] : [])).sort(before);
+  const waiting = [...lights.keys()].flatMap((leaf) => (lights[leaf] > 0 ? next(leaf, rules.first(leaf)) ?? [] : [])).sort(before);
   const insert = (step) => {
     let low = 0, high = waiting.length;
     while (low < high) {
@@ -67,12 +85,20 @@ function* takeSteps(scene, lights, budget, rules) {
 
 /** Returns the level of each leaf (-1: do not draw it) so that at most so many splats are drawn, and their number.
  *
+ * It begins with the choice by distance for what the cameras see, and spends on light times error what that choice spends on the rest. So
+ * no leaf in view is coarser than by distance. `guard: false` begins with nothing.
+ * `quality` ends the choice when so many dB of PSNR are expected, against everything at its finest level.
  * `fill` spends what is left of the budget on leaves that the cell does not see: they show where its visible set misses something. */
-export function chooseLevels(scene, views, most = Infinity, { fill = false } = {}) {
-  const lods = new Int8Array(scene.leaves.length).fill(-1);
-  const rules = { cost: (to, from) => to.count - (from?.count ?? 0), last: () => 0 };
-  let splats = 0;
-  for (const { leaf, lod, paid } of takeSteps(scene, leafLights(scene, views, fill), most, rules)) {
+export function chooseLevels(scene, views, most = Infinity, { fill = false, guard = true, quality = Infinity } = {}) {
+  const lods = guard && most < Infinity ? leastLevels(scene, views, most, fill) : new Int8Array(scene.leaves.length).fill(-1);
+  const rules = { cost: (to, from) => to.count - (from?.count ?? 0), first: (leaf) => lods[leaf], last: () => 0 };
+  const lights = leafLights(scene, views, fill), sum = (of) => lods.reduce((total, lod, leaf) => total + of(leaf, lod), 0);
+  let splats = sum((leaf, lod) => (lod < 0 ? 0 : scene.leaves[leaf].lods[lod].count));
+  let error = sum((leaf, lod) => lights[leaf] * errorOf(scene, leaf, lod));
+  const enough = quality < Infinity ? 10 ** (-quality / 10) * sum((leaf) => lights[leaf]) : -Infinity;
+  for (const { leaf, from, lod, paid } of takeSteps(scene, lights, most - splats, rules)) {
+    if (error <= enough) break;
+    error -= lights[leaf] * (errorOf(scene, leaf, from) - errorOf(scene, leaf, lod));
     lods[leaf] = lod;
     splats += paid;
   }
@@ -81,6 +107,14 @@ export function chooseLevels(scene, views, most = Infinity, { fill = false } = {
 
 /** Returns [leaf, level] in the order to load, up to the chosen levels: most error removed per byte first, until so many bytes. */
 export function loadOrder(scene, views, lods, most = Infinity, { fill = false } = {}) {
-  const rules = { cost: (to) => to.bytes, last: (leaf) => (lods[leaf] < 0 ? Infinity : lods[leaf]) };
-  return [...takeSteps(scene, leafLights(scene, views, fill), most, rules)].map(({ leaf, lod }) => [leaf, lod]);
+  const rules = { cost: (to) => to.bytes, first: () => -1, last: (leaf) => (lods[leaf] < 0 ? Infinity : lods[leaf]) };
+  const order = [...takeSteps(scene, leafLights(scene, views, fill), most, rules)].map(({ leaf, lod }) => [leaf, lod]);
+  const there = new Map(order), bytes = (leaf, lod) => scene.leaves[leaf].lods[lod].bytes;
+  let left = most - order.reduce((sum, [leaf, lod]) => sum + bytes(leaf, lod), 0);
+  lods.forEach((lod, leaf) => { // a chosen level that has no less error than a coarser one comes last
+    if (lod < 0 || there.get(leaf) === lod || bytes(leaf, lod) > left) return;
+    left -= bytes(leaf, lod);
+    order.push([leaf, lod]);
+  });
+  return order;
 }

@@ -21,7 +21,7 @@ export async function runScene(canvas, player) {
     globalThis.streamed = state;
     line.textContent = queue.failed[0] ?? `${state.needed} of ${all} leaves needed here, ${state.drawn.toLocaleString("en")} Gaussians drawn`;
   };
-  const budget = Number(asked.get("splats") ?? 1e6), options = { fill: asked.has("fill") };
+  const budget = Number(asked.get("splats") ?? 1e6), options = { fill: asked.has("fill"), quality: Number(asked.get("quality") ?? Infinity) };
   const queue = new LeafQueue(scene.leaves, player, { most: Number(asked.get("most") ?? 2e6), changed: say });
   const frame = (seconds) => {
     const target = walk.step(seconds), now = [...walk.position, ...walk.forward];

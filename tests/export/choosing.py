@@ -22,24 +22,65 @@ def power(quarters: int) -> float:
     return float(ROOTS[quarters % 4] * 2.0 ** (quarters // 4))
 
 
-def choose(case: dict[str, Any]) -> tuple[list[int], int]:
+def choose(case: dict[str, Any], *, guard: bool = True, quality: float = float("inf")) -> tuple[list[int], int]:
     """Return the level of each leaf within the splats of a case, -1 for not drawn, and the splats."""
-    lods = [-1] * len(case["lights"])
-    splats = 0
-    for leaf, lod, paid in steps(case, "counts", case["splats"], [0] * len(lods)):
+    first = [-1] * len(case["lights"])
+    if guard and case["splats"] < float("inf"):
+        seen = [light > 0 for light in case["lights"]]
+        first = [lod if sees else -1 for lod, sees in zip(by_distance(case), seen, strict=True)]
+    lods = list(first)
+    splats = sum(case["counts"][leaf][lod] for leaf, lod in enumerate(lods) if lod >= 0)
+    lights = [power(byte - 255) if byte else 0.0 for byte in case["lights"]]
+    for leaf, lod, paid in steps(case, "counts", case["splats"] - splats, [0] * len(lods), first):
+        left = sum(light * error(case, k, lods[k]) for k, light in enumerate(lights))
+        if left <= 10.0 ** (-quality / 10.0) * sum(lights) and quality < float("inf"):
+            break
         lods[leaf] = lod
         splats += paid
     return lods, splats
 
 
+def by_distance(case: dict[str, Any]) -> list[int]:
+    """Return the levels that an engine chooses by distance from the origin, -1 for all if the coarsest do not fit."""
+    counts, boxes = np.array(case["counts"]), np.array(case["boxes"])
+    levels = [[lod for lod, count in enumerate(row) if count] for row in case["counts"]]
+    lods = [own[-1] if own else -1 for own in levels]
+    left = case["splats"] - sum(int(counts[leaf, lod]) for leaf, lod in enumerate(lods) if lod >= 0)
+    if left < 0:
+        return [-1] * len(levels)
+    half = (boxes[:, 1] - boxes[:, 0]) / 2.0
+    shrunk = 0.75 * np.maximum(half - np.sort(half, axis=0)[len(half) // 2], 0.0)
+    away = np.clip(0.0, boxes[:, 0] + shrunk, boxes[:, 1] - shrunk)
+    distances = np.maximum(np.sqrt(np.square(away).sum(axis=1)), 1e-6)
+    finer = [(leaf, k) for leaf, own in enumerate(levels) for k in range(len(own) - 1)]
+    for leaf, k in sorted(finer, key=lambda step: distances[step[0]] / 3.0 ** (levels[step[0]][step[1]] + 1)):
+        paid = int(counts[leaf, levels[leaf][k]] - counts[leaf, levels[leaf][k + 1]])
+        if paid > left:
+            break
+        left -= paid
+        lods[leaf] = levels[leaf][k]
+    return lods
+
+
 def order(case: dict[str, Any], lods: list[int]) -> list[Step]:
     """Return the files in the order to load, within the bytes of a case."""
-    return [(leaf, lod) for leaf, lod, _ in steps(case, "bytes", case["most_bytes"], lods)]
+    left = case["most_bytes"]
+    found: list[Step] = []
+    for leaf, lod, paid in steps(case, "bytes", left, lods, [-1] * len(lods)):
+        found.append((leaf, lod))
+        left -= paid
+    for leaf, lod in enumerate(lods):  # what has no less error than a coarser level comes last
+        if lod >= 0 and (leaf, lod) not in found and case["bytes"][leaf][lod] <= left:
+            found.append((leaf, lod))
+            left -= case["bytes"][leaf][lod]
+    return found
 
 
-def steps(case: dict[str, Any], unit: str, left: float, last: list[int]) -> list[tuple[int, int, int]]:
+def steps(
+    case: dict[str, Any], unit: str, left: float, last: list[int], first: list[int]
+) -> list[tuple[int, int, int]]:
     """Take one step after the other: of all that fit, the one that removes most error for its cost."""
-    at = [-1] * len(case["lights"])
+    at = list(first)
     taken = []
     while True:
         best: tuple[float, int, int, int] | None = None
@@ -91,8 +132,11 @@ def make_case(seed: int) -> dict[str, Any]:
     counts[rng.random(counts.shape) < 0.1] = 0
     errors = np.minimum(255, rng.integers(120, 200, leaves)[:, None] + rng.integers(4, 16, levels).cumsum())
     errors[:, 0] = 0
+    low = rng.uniform(-10.0, 10.0, (leaves, 3)).round(3)
+    high = (low + rng.uniform(0.5, 6.0, (leaves, 3))).round(3)
     return {
         "absent": 0.125,
+        "boxes": np.stack([low, high], axis=1).tolist(),
         "lights": (rng.integers(1, 255, leaves) * (rng.random(leaves) < 0.8)).tolist(),
         "counts": counts.tolist(),
         "bytes": (counts * 9 + (counts > 0) * 800).tolist(),

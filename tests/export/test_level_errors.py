@@ -36,6 +36,16 @@ def test_a_leaf_has_the_error_of_its_own_level() -> None:
     assert 0.01 < errors[1, right] <= 1.0
 
 
+def test_a_leaf_has_the_error_of_the_eye_that_shows_it_worst() -> None:
+    leaves = cut_leaves(heaps_with_levels(), most=60)
+    right = int(leaves.of_ids[60])
+    eyes = np.array([[8.0, 0, 0], [-8.0, 0, 0]])
+    alone = [measure_errors(leaves, eye)[1, right] for eye in eyes]
+    both = measure_errors(leaves, eyes)[1, right]
+    assert both == max(alone)
+    assert min(alone) < max(alone)
+
+
 def test_one_level_has_no_error_and_no_eye_finds_none() -> None:
     assert not measure_errors(cut_leaves(Levels.single(two_heaps(60)), most=60), EYE).any()
     assert not measure_errors(cut_leaves(heaps_with_levels(), most=60), np.zeros((0, 3))).any()

@@ -20,21 +20,25 @@ from tests.serve.servers import PATIENCE
 CHOICE = """
 import { readFileSync } from "node:fs";
 import { chooseLevels, leafLights, loadOrder } from "CHOICE";
+import { levelsByDistance } from "DISTANCE";
 import { power } from "MODULE";
 const found = JSON.parse(readFileSync(process.argv[2], "utf8")).map((c) => {
   const lods = (k) => c.counts[k].map((count, lod) => (count ? { count, bytes: c.bytes[k][lod] } : null));
   const errors = (k) => c.errors[k].map((byte) => byte && power(byte - 255));
-  const leaves = c.counts.map((_, k) => ({ lods: lods(k), errors: errors(k) }));
+  const leaves = c.counts.map((_, k) => ({ lods: lods(k), errors: errors(k), min: c.boxes[k][0], max: c.boxes[k][1] }));
   const rows = [c.lights, c.lights.map(() => 255)];
   const ahead = (leaf) => (leaf === 0 ? 256 : 0);
   const scene = { leaves, rows, ahead, header: { absent: c.absent }, cellAt: ([x]) => ({ row: x }),
     neighbors: () => [{ row: 1 }] };
   const views = [{ position: [0, 0, 0] }], chosen = chooseLevels(scene, views, c.splats);
-  const all = chooseLevels(scene, views);
+  const all = chooseLevels(scene, views), plain = chooseLevels(scene, views, c.splats, { guard: false });
+  const good = chooseLevels(scene, views, Infinity, { quality: 30 });
   const turned = leafLights(scene, [{ position: [0, 0, 0], forward: [1, 0, 0] }]);
   const two = leafLights(scene, [...views, { position: [1, 0, 0], weight: 0.5 }]);
   return { lods: [...chosen.lods], drawn: chosen.splats, order: loadOrder(scene, views, chosen.lods, c.most_bytes),
-    all: [...all.lods], once: [...leafLights(scene, views)], turned: [...turned], two: [...two],
+    all: [...all.lods], plain: [...plain.lods], good: [...good.lods],
+    distance: [...levelsByDistance(scene, views, c.splats)],
+    once: [...leafLights(scene, views)], turned: [...turned], two: [...two],
     filled: [...leafLights(scene, views, true)] };
 });
 console.log(JSON.stringify(found));
@@ -60,7 +64,7 @@ def node(tmp_path: Path, text: str, *words: str | Path) -> subprocess.CompletedP
     if program is None:
         pytest.skip("no node: install Node.js 18 or later")
     script = tmp_path / "run.mjs"
-    for name, file in (("MODULE", "needed-leaves.js"), ("CHOICE", "level-choice.js")):
+    for name, file in (("MODULE", "needed-leaves.js"), ("CHOICE", "level-choice.js"), ("DISTANCE", "by-distance.js")):
         text = text.replace(f'"{name}"', f'"{(EXAMPLE / file).as_uri()}"')
     script.write_text(text)
     return subprocess.run([program, script, *words], capture_output=True, text=True, timeout=PATIENCE)
@@ -89,6 +93,9 @@ def test_levels_are_chosen_as_the_reference_chooses(tmp_path: Path) -> None:
         }
         assert found["drawn"] <= case["splats"]
         assert found["all"] == choosing.choose({**case, "splats": float("inf")})[0]
+        assert found["good"] == choosing.choose({**case, "splats": float("inf")}, quality=30.0)[0]
+        assert found["plain"] == choosing.choose(case, guard=False)[0]
+        assert found["distance"] == choosing.by_distance(case)
         lit = np.array(found["once"])
         ahead = np.where(np.arange(len(lit)) == 0, 1.0, 1 / 16)  # the first leaf alone is in the view
         assert found["turned"] == (lit * ahead).tolist()
@@ -106,6 +113,14 @@ def test_more_splats_leave_less_error_and_never_pass_the_budget() -> None:
             lights = [choosing.power(byte - 255) if byte else 0.0 for byte in case["lights"]]
             left.append(np.dot(lights, [choosing.error(case, leaf, lod) for leaf, lod in enumerate(lods)]))
         assert left == sorted(left, reverse=True)
+
+
+def test_nothing_that_a_cell_sees_is_coarser_than_by_distance() -> None:
+    for seed in range(200, 232):
+        case = choosing.make_case(seed)
+        lods, _ = choosing.choose(case)
+        for light, own, distance in zip(case["lights"], lods, choosing.by_distance(case), strict=True):
+            assert light == 0 or distance < 0 or 0 <= own <= distance
 
 
 def test_a_sidecar_of_another_scene_is_refused(tmp_path: Path) -> None:
