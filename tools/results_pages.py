@@ -182,7 +182,7 @@ PAGES = {
             "world_cluster",
         ),
     ),
-    "edit": Page("Editing scenes", ("cut", "cut_unseen", "clean")),
+    "edit": Page("Editing scenes", ("cut", "cut_unseen", "from_outside", "clean")),
     "viewer": Page(
         "The viewer",
         (

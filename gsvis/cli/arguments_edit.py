@@ -199,6 +199,11 @@ class Cut:
     ] = Placed()
     fov: Annotated[float | None, readers.DEGREES, hint("eyes look all around")] = None
     """Horizontal field of view of the frames of --path: only what they show is kept."""
+    from_outside: Flag = False
+    """Cut the space open, so that eyes outside see into it: what stands in their way goes, such as the ceiling. Eyes
+    inside are those of --path or --box, or anywhere in the scene's own rooms."""
+    open_to: Annotated[tuple[float, float, float] | None, readers.POINT, hint("up")] = None
+    """Direction in which the eyes outside are, with --from-outside; 1 1 1 opens a corner."""
     looking: Looking = Looking()
     select: File = None
     """Write what is kept as a NumPy file too: one true or false for each Gaussian of SCENE."""

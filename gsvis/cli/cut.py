@@ -1,4 +1,7 @@
-"""`gsvis cut`: keep what eyes along a path, of cameras, or in a place can see; write it, say what is missing."""
+"""`gsvis cut`: keep what eyes along a path, of cameras, or in a place can see; write it, say what is missing.
+
+`cut_outside.py` has what differs for eyes outside.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gsvis.cli.arguments import Cut
+from gsvis.cli.cut_outside import check_outside, open_up, spell_outside
 from gsvis.cli.options import config_of
 from gsvis.cli.source import open_source
 from gsvis.cli.targets import check_one_level, check_outputs, check_scene_out, write_array
@@ -27,7 +31,7 @@ from gsvis.scene.source import Source
 
 if TYPE_CHECKING:
     from gsvis.edit import Cut as Found
-    from gsvis.edit import CutConfig, Eyes
+    from gsvis.edit import CutConfig, Eyes, OutsideCut
 
 __all__ = ["run_cut"]
 
@@ -59,7 +63,7 @@ def run_cut(command: Cut) -> None:
         source = open_source(command.scene, command.lod, status)
         with status.stage("space"):
             place = _place_eyes(command, source, walk)
-        found = _cut(source.gaussians, place, config, status)
+        found = _cut(command, source.gaussians, place, config, status)
         with status.stage("writing"):
             save_scene(source.gaussians[found.kept], target)
             if command.select is not None:
@@ -71,7 +75,8 @@ def _check_arguments(command: Cut) -> HeadPath | None:
     """Check the arguments before work begins; return the walk of --path."""
     check_source(command.scene, command.lod)
     check_one_level(command.scene)
-    if command.where.cameras is None and not command.where.given:
+    check_outside(command)
+    if command.where.cameras is None and not command.where.given and not command.from_outside:
         raise ValueError(
             "--path: expected one of --path, --cameras, --box and --around, got none; say where the eyes are"
         )
@@ -114,6 +119,8 @@ def _place_eyes(command: Cut, source: Source, walk: HeadPath | None) -> _Eyes:
         return _Eyes(EyesOfCameras(cameras, command.where.margin or 0.0), words, None, framed)
     found = find_place(source, command.where, walk)
     space = found.required("say where the eyes are with --cameras or --box")
+    if not command.where.given:
+        return _Eyes(EyesInSpace(space), "eyes anywhere inside, all around", space, found.remarks)
     if command.where.path is None:
         words = "eyes in the box" if command.where.box is not None else "eyes around the scene"
         return _Eyes(EyesInSpace(space), f"{words}, all around", space, found.remarks)
@@ -126,20 +133,24 @@ def _place_eyes(command: Cut, source: Source, walk: HeadPath | None) -> _Eyes:
     return _Eyes(EyesOfCameras(cameras, command.where.margin or 0.0, looks=_LOOKS), words, space, found.remarks)
 
 
-def _cut(g: Gaussians, place: _Eyes, config: CutConfig, status: Status) -> Found:
+def _cut(command: Cut, g: Gaussians, place: _Eyes, config: CutConfig, status: Status) -> Found | OutsideCut:
     """Return what the eyes see."""
     from gsvis.edit import cut
     from gsvis.pvs.config import PvsConfig
 
     warm_sets(PvsConfig(), status)
     try:
+        if command.from_outside:
+            return open_up(command, g, place.eyes, config, status)
         return cut(g, place.eyes, config, progress=status)
     except SceneError as error:
         raise SceneError(f"{error}; nothing was written") from None
 
 
-def _show_result(command: Cut, source: Source, place: _Eyes, found: Found) -> None:
+def _show_result(command: Cut, source: Source, place: _Eyes, found: Found | OutsideCut) -> None:
     """Print what was kept, as lines or as JSON."""
+    from gsvis.edit import Cut as Found
+
     size = Path(command.out).stat().st_size
     if command.output.json:
         document: dict[str, Any] = {
@@ -156,14 +167,24 @@ def _show_result(command: Cut, source: Source, place: _Eyes, found: Found) -> No
         }
         print_json(document)
         return
-    share = len(found) / len(found.kept)
+    count = int(np.count_nonzero(found.kept))
+    share = count / len(found.kept)
+    lines = _spell(found, place.words) if isinstance(found, Found) else spell_outside(found, place.words)
     show(
-        f"{command.out}: {len(found):,} of {len(found.kept):,} Gaussians ({share:.1%}), {size_of(size)}",
-        f" For {place.words}. {_spell_looks(found)}",
-        *([f" {_spell_certificate(found)}"] if found.certificates else []),
-        *([f" {_spell_views(found)}"] if found.held_out is not None else []),
+        f"{command.out}: {count:,} of {len(found.kept):,} Gaussians ({share:.1%}), {size_of(size)}",
+        *(f" {line}" for line in lines),
         *place.remarks,
     )
+
+
+def _spell(found: Found, words: str) -> list[str]:
+    """Return what is said of a cut, in lines."""
+    lines = [f"For {words}. {_spell_looks(found)}"]
+    if found.certificates:
+        lines.append(_spell_certificate(found))
+    if found.held_out is not None:
+        lines.append(_spell_views(found))
+    return lines
 
 
 def _spell_looks(found: Found) -> str:

@@ -83,6 +83,7 @@ _SAID = {
     "export": "writing the export",
     "certificate": "certifying by rays",
     "held_out": "drawing views before and after",
+    "light": "measuring the light from inside",
 }
 _clock = time.perf_counter  # tests replace it
 _SIZES = ("GB", 10**9), ("MB", 10**6), ("kB", 10**3)

@@ -8,6 +8,8 @@ from gsvis.edit.evidence import Evidence, gather_evidence
 from gsvis.edit.eyes import Eyes, EyesInSpace, EyesOfCameras
 from gsvis.edit.guard import Cost, guard, measure_cost
 from gsvis.edit.large import LargeCleaning, clean_large
+from gsvis.edit.opening import Opening
+from gsvis.edit.outside import OutsideCut, cut_from_outside
 from gsvis.edit.paint import Band, bands_of, colors_of, draw_legend, paint
 from gsvis.edit.places import find_in_parcels
 from gsvis.edit.quantities import QUANTITIES, Quantity, QuantityConfig, measure_quantity, stored_quantity
@@ -33,6 +35,8 @@ __all__ = [
     "EyesOfCameras",
     "HeldOut",
     "LargeCleaning",
+    "Opening",
+    "OutsideCut",
     "Quantity",
     "QuantityConfig",
     "Shape",
@@ -45,6 +49,7 @@ __all__ = [
     "colors_of",
     "core_of",
     "cut",
+    "cut_from_outside",
     "draw_legend",
     "find_in_parcels",
     "fit_budget",

@@ -67,6 +67,16 @@ def test_cut_writes_what_a_box_can_see_and_says_what_is_missing(folder: Path, tm
     assert found["held_out"]["views"] == 2
 
 
+def test_cut_from_outside_opens_a_closed_room(folder: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "open.ply"
+    words = ["cut", str(folder / "rooms.ply"), "-o", str(out), *CUT, "--from-outside", "--open-to", "0", "0", "1"]
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["direction"] == [0.0, 0.0, 1.0]
+    assert found["light_before"] < 0.6 < 0.9 < found["light_after"]
+    assert found["gaussians_out"] == len(load_scene(out)) < found["gaussians_in"]
+
+
 def test_cut_keeps_what_cameras_or_frames_of_a_walk_show(
     folder: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -103,6 +113,9 @@ def test_cut_keeps_what_cameras_or_frames_of_a_walk_show(
         (["SCENE", "-o", "OUT", "--cameras", "AWAY", *BOX], "--box: expected none with --cameras"),
         (["SCENE", "-o", "OUT", *BOX, "--fov", "60"], "--fov: expected --path"),
         (["SCENE", "-o", "OUT", *BOX, "--margin", "1"], "--margin: expected --path"),
+        (["SCENE", "-o", "OUT", *BOX, "--open-to", "0", "0", "1"], "--open-to: expected --from-outside"),
+        (["SCENE", "-o", "OUT", "--from-outside", "--open-to", "0", "0", "0"], "--open-to: expected a direction"),
+        (["SCENE", "-o", "OUT", "--from-outside", "--cameras", "AWAY"], "--from-outside: expected eyes inside"),
         (["FLAT", "-o", "OUT", "--path", "FAR"], "expected a walk in the scene"),
         (["LEVELS", "-o", "OUT", *BOX], "folder of levels"),
         (["SCENE", "-o", "OUT", *BOX, "--up", "sky"], "--up"),
