@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import realdata
+from _packaged import Packaged
 from paper.ablation import ABLATIONS, ablated, without_levels, without_sets, without_terms
 from paper.rivals import RIVALS, LeafFiles, Measured, rival
 from paper.rivals.leaves import leaf_sizes
 
 from gsvis.abr import AbrConfig, FieldOfView
 from gsvis.export.leaves import cut_leaves
-from gsvis.io import load_scene, save_scene
+from gsvis.io import save_scene
 from gsvis.io.streamed_sog_writer import save_streamed_sog
 from gsvis.package import Package
 from gsvis.package.manifest import MANIFEST
@@ -30,10 +30,8 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.simulate import Adaptive, Delivery, MortonProgressive, WholeFile, morton_order
 from gsvis.stream import StreamedScene
 
-__all__ = ["ABLATED", "OTHERS", "OURS", "SYSTEMS", "VARIANTS", "Scene", "place"]
+__all__ = ["ABLATED", "OTHERS", "OURS", "SYSTEMS", "VARIANTS", "Scene"]
 
-SCENES = {"showroom": ("showroom", 3, 1.0), "nika": ("nika_sh3", 1, None), "flowers": ("flowers_sh2", 1, None)}
-"""Folder, level of detail, and meters of a unit."""
 CHUNK = 1024
 """Gaussians of a chunk of `frustum chunks`."""
 OURS = "gsvis"
@@ -48,32 +46,26 @@ VARIANTS: dict[str, dict[str, Any]] = {
 SYSTEMS = (OURS, *VARIANTS, *ABLATED, *OTHERS)
 
 
-def place(name: str) -> tuple[Gaussians, int]:
-    """The scene before it was packaged, and the bytes of its files as published: SOG of this level of detail."""
-    folder, lod, _ = SCENES[name]
-    root = realdata() / "scenes" / folder
-    size = sum(file.stat().st_size for part in root.glob(f"{lod}_*") for file in part.rglob("*") if file.is_file())
-    return load_scene(root / "lod-meta.json", lod=lod), size
-
-
 class Scene:
     """A package, opened for all systems.
 
     Args:
         name: Name of the scene.
         package: Its open package.
-        full: The scene before it was packaged.
-        file_bytes: Bytes of its published files.
+        original: The scene before it was packaged, and its published files.
         work: Folder where measured sizes are kept.
         config: Settings of our scheduler.
     """
 
-    def __init__(
-        self, name: str, package: Package, full: Gaussians, file_bytes: int, work: Path, config: AbrConfig
-    ) -> None:
-        self.name, self.full, self.file_bytes, self.config = name, full, file_bytes, config
+    def __init__(self, name: str, package: Package, original: Packaged, work: Path, config: AbrConfig) -> None:
+        self.name = name
+        self.full = original.gaussians
+        self.file_bytes = original.file_bytes
+        self.file = original.file
+        self.meters_per_unit = original.meters_per_unit
+        self.config = config
         self.streamed = StreamedScene.open(package)
-        self.sizes = _sizes(name, package, full, work)
+        self.sizes = _sizes(name, package, self.full, work)
         self._views: dict[str, StreamedScene] = {}
 
     @property
@@ -111,7 +103,7 @@ class Scene:
             left_out = name.removeprefix("gsvis without ")
             return ablated(self._without(left_out), left_out, view, self.config, sh_bytes=self.sh_bytes)
         if name == "whole file":
-            return WholeFile(contents, self.file_bytes, "SOG as published")
+            return WholeFile(contents, self.file_bytes, self.file)
         if name == "Morton order":
             records = 16.0 * len(self.full) + contents.term_records.shape[1] * self._terms
             per = self.file_gaussian_bytes

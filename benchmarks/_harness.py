@@ -18,21 +18,27 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 __all__ = [
+    "SKIPPED",
     "Timing",
     "add_arguments",
+    "find_realdata",
     "machine",
     "measure",
     "measure_in_turn",
     "need",
     "read_notes",
     "realdata",
+    "skip",
     "write_result",
 ]
+
+SKIPPED = 77
+"""Exit code of a benchmark that measured nothing, because something is missing."""
 
 _ROOT = Path(__file__).resolve().parents[1]
 _NOTES = ("Given", "Measured", "Defaults chosen on")
@@ -132,20 +138,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     return parser
 
 
-def realdata() -> Path:
-    """The folder of real scenes, `GSVIS_REALDATA` or `../shared/data`; where there is none the benchmark ends well."""
+def find_realdata() -> Path | None:
+    """The folder of real scenes, `GSVIS_REALDATA` or `../shared/data`; None where there is none."""
     folder = Path(os.environ.get("GSVIS_REALDATA", _ROOT.parent / "shared" / "data"))
-    if not folder.is_dir():
-        print("skipped: no real data; set GSVIS_REALDATA to the folder that holds scenes/", file=sys.stderr)
-        raise SystemExit(0)
+    return folder if folder.is_dir() else None
+
+
+def realdata() -> Path:
+    """The folder of real scenes; where there is none the benchmark ends with `SKIPPED` and says what is missing."""
+    folder = find_realdata()
+    if folder is None:
+        skip(
+            "it needs real scenes, photographs or recordings: a folder with scenes/, photos/ and traces/, which"
+            " GSVIS_REALDATA names; benchmarks/README.md lists the files and where they are from"
+        )
     return folder
 
 
 def need(made: object, how: str) -> None:
-    """End well where something was not given that only another command makes: `make bench` runs every benchmark."""
+    """End with `SKIPPED` where something was not given that only another command makes."""
     if not made:
-        print(f"skipped: give it {how}", file=sys.stderr)
-        raise SystemExit(0)
+        skip(f"give it {how}")
+
+
+def skip(why: str) -> NoReturn:
+    """End with `SKIPPED`, which says that nothing was measured; `make bench` goes on with the next benchmark."""
+    print(f"skipped: {why}", file=sys.stderr)
+    raise SystemExit(SKIPPED)
 
 
 def read_notes(doc: str) -> dict[str, str]:
@@ -199,7 +218,7 @@ def write_result(
         "figures": checked,
         "notes": read_notes(sys.modules["__main__"].__doc__ or ""),
         "machine": machine(),
-        "command": shlex.join(["python", os.path.relpath(sys.argv[0], _ROOT), *sys.argv[1:]]),
+        "command": shlex.join(["python", os.path.relpath(sys.argv[0], _ROOT), *map(_without_folders, sys.argv[1:])]),
         "details": details,
     }
     if path is not None:
@@ -208,6 +227,18 @@ def write_result(
         partial.write_text(json.dumps(result, indent=1, default=_plain) + "\n", encoding="utf-8")
         os.replace(partial, path)
     return result
+
+
+def _without_folders(word: str) -> str:
+    """Return an argument with the name alone of a path outside of the repository: what lies there is nobody else's."""
+    name, equals, value = word.rpartition("=")
+    path = Path(value)
+    if not path.is_absolute():
+        return word
+    if path.is_relative_to(_ROOT):
+        return f"{name}{equals}{path.relative_to(_ROOT).as_posix()}"
+    kept = path.parts[-2:] if path.name in ("lod-meta.json", "meta.json") else path.parts[-1:]
+    return f"{name}{equals}{'/'.join(kept)}"
 
 
 def _plain(value: Any) -> Any:

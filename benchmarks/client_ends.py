@@ -14,8 +14,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from _delivery_systems import SCENES, place
 from _harness import add_arguments, need, write_result
+from _packaged import open_original
 
 from gsvis.package import Package, measure_fidelity
 from gsvis.prepare import PrepareConfig
@@ -28,13 +28,13 @@ APART = 6.0
 
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("--packages", nargs="*", metavar="NAME=PACKAGE", help=f"names: {', '.join(SCENES)}")
+    parser.add_argument("--packages", nargs="*", metavar="NAME=PACKAGE", help="a package, under a name of your choice")
     arguments = parser.parse_args()
     need(arguments.packages, "--packages NAME=PACKAGE, as `gsvis prepare` made them")
     figures, found = [], {}
     for given in arguments.packages:
         name, _, folder = given.partition("=")
-        g, _ = place(name)
+        g = open_original(folder).gaussians
         with Package.open(Path(folder)) as package:
             told = package.manifest.info.fidelity
             if told is None:

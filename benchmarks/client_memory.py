@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from _delivery_systems import SCENES, place
 from _harness import add_arguments, need, realdata, write_result
+from _packaged import open_original
 
 from gsvis.color.evaluate import evaluate
 from gsvis.io.poses import load_path
@@ -79,9 +79,10 @@ def visit(scene: StreamedScene, path: HeadPath, memory: int) -> Visit:
 
 def figures_of(name: str, package: str) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Figures and details of a package."""
-    full, _ = place(name)
+    original = open_original(package)
+    full = original.gaussians
     recording = load_path(realdata() / "traces" / WALK)
-    config = RetargetConfig(meters_per_unit=SCENES[name][2], project=True, seed=0)
+    config = RetargetConfig(meters_per_unit=original.meters_per_unit, project=True, seed=0)
     path = retarget(recording.cut(0.0, SECONDS), NavigableSpace.from_scene(full), config).path
     path = path.resample(times=path.times[0] + 0.1 * np.arange(int(10 * SECONDS)))
     scene = StreamedScene.open(package)
@@ -106,7 +107,7 @@ def figures_of(name: str, package: str) -> tuple[list[dict[str, Any]], dict[str,
 
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("packages", nargs="*", metavar="NAME=PACKAGE", help=f"names: {', '.join(SCENES)}")
+    parser.add_argument("packages", nargs="*", metavar="NAME=PACKAGE", help="a package, under a name of your choice")
     options = parser.parse_args()
     need(options.packages, "what `gsvis prepare` made, as NAME=PACKAGE")
     figures, details = list[dict[str, Any]](), dict[str, Any]()

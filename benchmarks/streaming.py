@@ -29,7 +29,6 @@ import hashlib
 import json
 import os
 import sys
-import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
@@ -39,13 +38,12 @@ from typing import Any
 
 import numpy as np
 from _harness import add_arguments, need, realdata, write_result
+from _packaged import Packaged, open_original, spz_bytes
 
 from gsvis.abr import AbrConfig, BandwidthTrace, UtilityConfig, load_trace, paired_difference
-from gsvis.io import load_scene, save_scene
 from gsvis.io.poses import load_path
 from gsvis.package import Package
 from gsvis.package.manifest import MANIFEST
-from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.retarget import RetargetConfig, retarget
@@ -56,13 +54,11 @@ from gsvis.simulate import (
     Stage,
     ViewingConfig,
     WholeFile,
-    morton_order,
     play,
     watch,
 )
 from gsvis.stream import StreamedScene
 
-SCENES = {"showroom": ("showroom", 3, 1.0), "nika": ("nika_sh3", 0, None)}  # folder, level of detail, meters per unit
 WALKS = (
     "room/user103_room", "truck/user102_truck", "room/user105_room", "truck/user107_truck",
     "room/user111_room", "truck/user119_truck", "room/user118_room", "truck/user122_truck",
@@ -80,7 +76,7 @@ SEEN = ("psnr", "latency", "qoe")
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
     parser.add_argument(
-        "packages", nargs="*", metavar="NAME=PACKAGE", help=f"in this order; names: {', '.join(SCENES)}"
+        "packages", nargs="*", metavar="NAME=PACKAGE", help="in this order, each under a name of your choice"
     )
     parser.add_argument("--links", type=int, default=sum(KINDS.values()), help="how many of the recorded links")
     parser.add_argument("--walks", type=int, default=len(WALKS), help="how many of the walks")
@@ -152,28 +148,12 @@ def recorded_links(count: int) -> list[Link]:
     return [Link(trace, ROUND_TRIP) for trace in (*traces, BandwidthTrace.constant(STEADY))]
 
 
-def place(name: str) -> tuple[Gaussians, int]:
-    """The scene before it was packaged, and the bytes of its streamed SOG."""
-    folder, lod, _ = SCENES[name]
-    root = realdata() / "scenes" / folder
-    size = sum(file.stat().st_size for part in root.glob(f"{lod}_*") for file in part.rglob("*") if file.is_file())
-    return load_scene(root / "lod-meta.json", lod=lod), size
-
-
-def spz_bytes(g: Gaussians) -> float:
-    """Bytes a Gaussian of the scene as SPZ, in Morton order."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "scene.spz"
-        save_scene(g[morton_order(g.means)], path)
-        return path.stat().st_size / len(g)
-
-
-def brought(name: str, g: Gaussians, walk: int, start: float, seconds: float) -> tuple[HeadPath, dict[str, Any]]:
+def brought(original: Packaged, walk: int, start: float, seconds: float) -> tuple[HeadPath, dict[str, Any]]:
     """The part of a recording that is walked in a scene, and how it came there."""
     recording = load_path(realdata() / "traces" / "eyenav_rutgers" / f"{WALKS[walk]}.csv.gz")
     start = start if start + seconds <= recording.duration else 0.0
-    config = RetargetConfig(meters_per_unit=SCENES[name][2], project=True, seed=walk)
-    moved = retarget(recording.cut(start, start + seconds), NavigableSpace.from_scene(g), config)
+    config = RetargetConfig(meters_per_unit=original.meters_per_unit, project=True, seed=walk)
+    moved = retarget(recording.cut(start, start + seconds), NavigableSpace.from_scene(original.gaussians), config)
     return moved.path, {"from_s": start, **moved.as_dict()}
 
 
@@ -204,13 +184,15 @@ def walked(
     if kept is not None and kept.exists():
         found: list[dict[str, Any]] = json.loads(kept.read_text())
         return found
-    g, file_size = place(name)
-    path, placed = brought(name, g, walk, visit * config.seconds, config.watched)
+    original = open_original(package)
+    g = original.gaussians
+    file_size = original.file_bytes
+    path, placed = brought(original, walk, visit * config.seconds, config.watched)
     with Package.open(package) as opened:
         scene = StreamedScene.open(opened)
         contents, stage = scene.contents, Stage(scene.contents, g)
         own = MortonProgressive(contents)
-        per = spz_bytes(g)
+        per = spz_bytes(g) / len(g)
         if per * stage.highest.sum() < own.nbytes:
             per_gaussian = per - 1e-3 * len(contents.term_records) / len(contents)
             sizes: tuple[Any, ...] = (per_gaussian, 1e-3, "SPZ, as gsvis writes it")
@@ -221,7 +203,7 @@ def walked(
             later = link.from_time(visit * config.seconds)
             deliveries = (
                 Adaptive(scene, config.view, scheduling, name=OURS),
-                WholeFile(contents, file_size, "streamed SOG of this level of detail"),
+                WholeFile(contents, file_size, original.file),
                 MortonProgressive(contents, *sizes),
             )
             for delivery in deliveries:

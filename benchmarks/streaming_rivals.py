@@ -35,8 +35,9 @@ from typing import Any
 
 import numpy as np
 from _delivery_figures import CLASSES, figures_of, means_of_frames, report, targets_of
-from _delivery_systems import OURS, SCENES, SYSTEMS, Scene, place
+from _delivery_systems import OURS, SYSTEMS, Scene
 from _harness import add_arguments, need, realdata, write_result
+from _packaged import open_original
 
 from gsvis.abr import AbrConfig, BandwidthTrace, load_trace
 from gsvis.io.poses import load_path
@@ -66,7 +67,7 @@ FRAMES, FRAME_WALKS = 10, 2
 
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("packages", nargs="*", metavar="NAME=PACKAGE", help=f"names: {', '.join(SCENES)}")
+    parser.add_argument("packages", nargs="*", metavar="NAME=PACKAGE", help="a package, under a name of your choice")
     parser.add_argument("--systems", nargs="*", default=list(SYSTEMS), choices=SYSTEMS, help="which; default all")
     parser.add_argument("--walks", type=int, default=len(WALKS), help="how many of the walks")
     parser.add_argument("--classes", type=int, nargs="*", default=list(CLASSES), choices=CLASSES, help="Mbit/s")
@@ -141,18 +142,17 @@ def link_of(rate: float, kind: str) -> Link:
     return Link(BandwidthTrace(scaled.times, scaled.mbit_per_s, f"{recorded.name} x {factor:.2f}"), ROUND_TRIP)
 
 
-def brought(name: str, g: Gaussians, walk: int, seconds: float) -> tuple[HeadPath, dict[str, Any]]:
+def brought(g: Gaussians, meters: float | None, walk: int, seconds: float) -> tuple[HeadPath, dict[str, Any]]:
     """The first seconds of a recording, in a scene."""
     recording = load_path(realdata() / "traces" / f"{WALKS[walk]}.csv.gz")
-    config = RetargetConfig(meters_per_unit=SCENES[name][2], project=True, seed=walk)
+    config = RetargetConfig(meters_per_unit=meters, project=True, seed=walk)
     moved = retarget(recording.cut(0.0, seconds), NavigableSpace.from_scene(g), config)
     return moved.path, moved.as_dict()
 
 
 def open_scene(name: str, package: str, work: Path, use: Any) -> Any:
-    full, file_bytes = place(name)
     with Package.open(package) as opened:
-        return use(Scene(name, opened, full, file_bytes, work, AbrConfig()))
+        return use(Scene(name, opened, open_original(package), work, AbrConfig()))
 
 
 def run_walk(
@@ -177,7 +177,7 @@ def run_walk(
 def walk_through(
     scene: Scene, walk: int, kind: str, config: ViewingConfig, options: argparse.Namespace
 ) -> dict[str, Any]:
-    path, placed = brought(scene.name, scene.full, walk, config.watched)
+    path, placed = brought(scene.full, scene.meters_per_unit, walk, config.watched)
     stage = Stage(scene.streamed.contents, scene.full)
     playbacks, rows = list[Playback](), list[dict[str, Any]]()
     for rate in options.classes:
@@ -189,7 +189,7 @@ def walk_through(
             rows.append({**row, "system": system, "path": placed})
     for row, playback, session in zip(rows, playbacks, watch(stage, playbacks, path, config), strict=True):
         row.update({key: value for key, value in session.as_dict().items() if key != "system"})
-        good = session.seconds_to(35.0)
+        good = session.time_of(35.0)
         row["bytes_to_35"] = float(playback.bytes_at(good)) if np.isfinite(good) else None
     framed = walk < FRAME_WALKS and kind == "constant"
     frames = compared_frames(stage, playbacks, rows, path, config) if framed else []

@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 from _harness import add_arguments, realdata, write_result
 
-from gsvis.io import load_scene
+from gsvis.io.sources import is_builtin, load_source
 from gsvis.raycast import (
     FACE_LIMITS,
     PAPER,
@@ -50,6 +50,8 @@ from gsvis.raycast import (
 )
 from gsvis.raycast.analysis import SETTLED
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.place import find_place
+from gsvis.scene.source import Source
 
 SCENES = ("showroom:3", "nika_sh3:0", "flowers_sh2:1")
 LOT = 64  # viewpoints at a time
@@ -57,7 +59,9 @@ LOT = 64  # viewpoints at a time
 
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("scenes", nargs="*", default=SCENES, metavar="NAME:LOD", help="folders of scenes/, or paths")
+    parser.add_argument(
+        "scenes", nargs="*", default=SCENES, metavar="NAME:LOD", help="folders of scenes/, paths, builtin:NAME"
+    )
     parser.add_argument("--views", type=int, default=64)
     parser.add_argument("--sample", type=int, default=1000, help="Gaussians whose directions are gathered and traced")
     parser.add_argument("--viewpoints", type=int, default=16384, help="rounded up to a power of two")
@@ -83,10 +87,10 @@ def main() -> None:
 
 
 def measured(name: str, options: argparse.Namespace) -> dict[str, Any]:
-    label, _, lod = name.partition(":")
-    path = Path(label) if Path(label).exists() else realdata() / "scenes" / label / "lod-meta.json"
-    g = load_scene(path, lod=int(lod) if lod else None)
-    navigable = NavigableSpace.from_scene(g)
+    label, lod, source = opened(name)
+    g = source.gaussians
+    stated = find_place(source).space if is_builtin(name) else None
+    navigable = NavigableSpace.from_scene(g) if stated is None else stated
     tracer = Tracer(EllipsoidProxies.from_scene(g))
     rng = np.random.default_rng(0)
     sample = np.sort(rng.choice(len(g), min(options.sample, len(g)), replace=False))
@@ -120,6 +124,15 @@ def measured(name: str, options: argparse.Namespace) -> dict[str, Any]:
         "traced_has_settled": traced[-1]["change"] < SETTLED,
         "solid_angle": solid,
     }
+
+
+def opened(name: str) -> tuple[str, str, Source]:
+    """Return the label, the level of detail as text, and the scene of NAME:LOD, of a path, or of builtin:NAME."""
+    if is_builtin(name):
+        return name, "", load_source(name, None)
+    label, _, lod = name.partition(":")
+    path = Path(label) if Path(label).exists() else realdata() / "scenes" / label / "lod-meta.json"
+    return label, lod, load_source(str(path), int(lod) if lod else None)
 
 
 def views(tracer: Tracer, navigable: NavigableSpace, count: int) -> dict[str, Any]:

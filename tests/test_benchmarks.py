@@ -52,3 +52,31 @@ def test_lines_that_go_on_belong_to_the_same_entry(harness: ModuleType) -> None:
 def test_an_entry_that_is_missing_or_empty_is_named(harness: ModuleType, doc: str) -> None:
     with pytest.raises(ValueError, match="missing"):
         harness.read_notes(doc)
+
+
+def test_what_is_missing_is_said_and_is_no_success(
+    harness: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("GSVIS_REALDATA", str(tmp_path / "none"))
+    assert harness.find_realdata() is None
+    for miss in (harness.realdata, lambda: harness.need([], "what gsvis prepare made")):
+        with pytest.raises(SystemExit) as ended:
+            miss()
+        assert ended.value.code == harness.SKIPPED == 77
+    said = capsys.readouterr().err.splitlines()
+    assert said[0].startswith("skipped: it needs real scenes")
+    assert said[1] == "skipped: give it what gsvis prepare made"
+    assert (FOLDER / "README.md").is_file()
+
+
+def test_a_recorded_command_names_no_folder_of_a_machine(harness: ModuleType, tmp_path: Path) -> None:
+    inside = FOLDER.parent / "docs" / "x.json"
+    for given, kept in (
+        ("--quick", "--quick"),
+        ("nika.gsvis", "nika.gsvis"),
+        (str(tmp_path / "nika.gsvis"), "nika.gsvis"),
+        (f"nika={tmp_path / 'n.gsvis'}", "nika=n.gsvis"),
+        (str(tmp_path / "nika" / "lod-meta.json"), "nika/lod-meta.json"),
+        (str(inside), "docs/x.json"),
+    ):
+        assert harness._without_folders(given) == kept

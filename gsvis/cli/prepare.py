@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from gsvis.pvs.joined import JoinedCells
     from gsvis.scene.cameras import Cameras
 
-__all__ = ["run_prepare"]
+__all__ = ["check_arguments", "run_prepare"]
 _CALLED = {
     "levels": "levels",
     "sets": "visible sets",
@@ -65,7 +65,7 @@ def run_prepare(command: Prepare) -> None:
     from gsvis.jobs.work_folder import WorkFolder
     from gsvis.prepare import estimate_preparation, prepare_package
 
-    config = _check_arguments(command)
+    config = check_arguments(command)
     walk = check_where(command.where)
     workers = local_workers(command.work)
     with Status() as status, naming(**MEMORY):
@@ -116,7 +116,7 @@ def _photo_cameras(command: Prepare) -> Cameras | None:
     return load_photo_cameras(command.training.photos)
 
 
-def _check_arguments(command: Prepare) -> PrepareConfig:
+def check_arguments(command: Prepare) -> PrepareConfig:
     """Check the arguments before work begins; return the settings of the preparation."""
     from gsvis.jobs.work_folder import WorkFolder
     from gsvis.package.writer import check_target

@@ -106,7 +106,10 @@ def load_original(original: Original, given: bool) -> tuple[Gaussians | None, st
 
     Args:
         original: From `find_original`.
-        given: Whether the user named it: then it is returned whatever it is.
+        given: Whether the user named it: then it is returned even if its content differs.
+
+    Raises:
+        ValueError: If a given scene has another number of Gaussians, as another level of detail has.
     """
     if not original.scenes:
         return None, original.remark
@@ -119,6 +122,8 @@ def load_original(original: Original, given: bool) -> tuple[Gaussians | None, st
                 raise
             return None, f"{_shown(scene)}, from which it was made, cannot be read: {error}"
         read.append(found)
+        if given and len(original.made) == len(original.scenes):
+            _check_count(original.made[k], len(found), _shown(scene))
         if len(original.made) == len(original.scenes) and original.made[k].scene not in (None, scene_hash(found)):
             changed = f"{_shown(scene)} {_OTHER}"
             if not given:
@@ -144,6 +149,17 @@ def _doubt(given: Sequence[tuple[str, int | None]], made: Sequence[MadeFrom]) ->
         if not same:
             return f"{_shown(scene)} is not the file from which it was made, {each.name}: its content differs"
     return ""
+
+
+def _check_count(made: MadeFrom, count: int, shown: str) -> None:
+    """Raise if a scene has another number of Gaussians than the one that a package was made from."""
+    if made.gaussians in (None, count):
+        return
+    level = "" if made.lod is None else f", level of detail {made.lod}"
+    raise ValueError(
+        f"{shown}: expected the {made.gaussians:,} Gaussians of {made.name}{level}, from which the package was made,"
+        f" got {count:,}; name that scene and its level of detail"
+    )
 
 
 def _is_one_file(scene: str) -> bool:

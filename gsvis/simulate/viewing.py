@@ -132,9 +132,19 @@ class Viewing:
         psnr, latency = (np.repeat(values, self.weights) for values in (self.psnr, self.latency))
         return quality_of_experience(psnr, latency, self.config.qoe)
 
-    def seconds_to(self, least: float) -> float:
-        """Return the seconds until the first step with content and at least `least` dB; inf if there is none."""
+    @property
+    def begins(self) -> float:
+        """Time of the first step with content, from which a viewer waits; 0 if there is none."""
+        seen = np.flatnonzero(self.content)
+        return float(self.times[seen[0]]) if len(seen) else 0.0
+
+    def time_of(self, least: float) -> float:
+        """Return the time of the first step with content and at least `least` dB; inf if there is none."""
         return first_frame(self.times, self._judged, least)
+
+    def seconds_to(self, least: float) -> float:
+        """Return how long a viewer waits for an image of at least `least` dB, from when there is something to see."""
+        return self.time_of(least) - self.begins
 
     @property
     def _judged(self) -> F64:
@@ -170,7 +180,7 @@ class Viewing:
     def _stall(self) -> float:
         """Return the total seconds of stalls; time without content does not count."""
         seen = np.where(self.content, self.psnr, np.inf)
-        seen[self.times < self.seconds_to(FIRST_FRAME_DB)] = 0.0
+        seen[self.times < self.time_of(FIRST_FRAME_DB)] = 0.0
         return stall(self.times, seen, self.config.qoe.shown_db, self.config.seconds)
 
     def as_dict(self) -> dict[str, Any]:

@@ -34,7 +34,7 @@ from gsvis.train.config import DensifyConfig, TrainConfig
 from gsvis.train.fill_in import fit_opacities
 from gsvis.train.history import Record
 from gsvis.train.images import PosedImages
-from gsvis.train.importance import ROUNDS, prune, rank_by_error
+from gsvis.train.importance import ROUNDS, most_important, prune, rank_by_error
 from gsvis.train.pairs import merge_pairs
 
 __all__ = ["CHOICES", "SUBSETS", "LevelsConfig", "TrainedLevels", "frozen_sizes", "train_levels"]
@@ -47,6 +47,7 @@ Mask = NDArray[np.bool_]
 CHOICES = ("removal", "gradient")
 """Ways to choose the Gaussians that stay in lower levels."""
 
+_FAINT = 0.05  # opacity of a clone of a Gaussian that stays
 _PREVIEW_NAME = "preview"
 _CHOICE = 2  # increase it if the same cameras would choose different Gaussians
 
@@ -61,7 +62,8 @@ class LevelsConfig:
         names: Names of these levels, and of the scene itself as the last.
         iterations: Training steps for each level.
         merged: Share of a level's own Gaussians that start as merges of the Gaussians it lacks; the rest are clones
-            that training adds where needed.
+            that training adds where needed. 0 begins with one faint clone: a merge of all that a level lacks would be
+            as large as the scene, and so would its clones.
         threshold: Gradient above which a Gaussian is cloned; see `DensifyConfig`.
         most_share: Largest number of Gaussians of a level to clone at a time, as a share of all.
         prune_share: Share of the remaining Gaussians that one round of `prune` removes, if the views choose the frozen
@@ -269,11 +271,14 @@ def train_levels(
             owns.append(scene[stays][:0])
             histories[name] = []
             continue
-        merged = merge_pairs(scene[~stays], begun - frozen)
-        if choose_by is not None:  # photographs differ from the scene by more than a merge does
-            merged = fit_opacities(merged, scene[stays], views)
+        if config.merged == 0.0:
+            begin = _clone_one(scene[stays])
+        else:
+            begin = merge_pairs(scene[~stays], begun - frozen)
+            if choose_by is not None:  # photographs differ from the scene by more than a merge does
+                begin = fit_opacities(begin, scene[stays], views)
         training = config.training(total, scene.sh_degree)
-        trainer = Trainer(views, merged, training, frozen=scene[stays], held_out=held_out, space=space)
+        trainer = Trainer(views, begin, training, frozen=scene[stays], held_out=held_out, space=space)
         kept = None if work is None else Path(work) / f"{name}.checkpoint"
         result = trainer.run(checkpoint=kept, progress=report)
         owns.append(result.gaussians[frozen:])
@@ -282,6 +287,13 @@ def train_levels(
     last = np.concatenate([np.full(len(scene), top, np.uint8), own])
     union = Gaussians.concatenate([scene, *owns])
     return TrainedLevels(Levels(union, np.concatenate([first, own]), last, config.level_names), histories)
+
+
+def _clone_one(stays: Gaussians) -> Gaussians:
+    """Return a faint copy of the Gaussian with the largest opacity times area; independent of their order."""
+    covered = stays.opacities * np.sort(stays.scales, axis=1)[:, 1:].prod(axis=1)
+    one = stays[most_important(stays, covered, 1)]
+    return replace(one, opacities=np.minimum(one.opacities, np.float32(_FAINT)))
 
 
 def _subsets(

@@ -113,6 +113,18 @@ def test_latency_is_the_first_tick_that_shows_the_pose(
             assert found.latency[k] == pytest.approx(min(shown.index(True) * 0.1, 1.0) if any(shown) else 1.0)
 
 
+def test_a_viewer_waits_from_when_there_is_something_to_see(sessions: dict[str, Viewing]) -> None:
+    """A walk that first looks into the void does not make a system slow."""
+    found = next(iter(sessions.values()))
+    late = replace(found, content=found.times >= 0.5, psnr=np.where(found.times >= 0.7, 40.0, 0.0))
+    assert late.begins == 0.5
+    first = found.times[found.times >= 0.7][0]
+    assert late.time_of(35.0) == first
+    assert late.seconds_to(35.0) == pytest.approx(first - 0.5)
+    assert late.figures()["seconds_to_first_image"] == pytest.approx(first - 0.5)
+    assert replace(late, content=np.zeros(len(late.times), bool)).seconds_to(20.0) == np.inf
+
+
 def test_steps_stand_for_all_ticks(sessions: dict[str, Viewing]) -> None:
     found = sessions["gsvis"]
     assert found.times.tolist() == pytest.approx([*np.arange(10) / 10, 1.0, 1.5])

@@ -103,6 +103,8 @@ def test_levels_of_the_paper_keep_what_equation_6_ranks_first_and_grow_by_clones
         most = 1 + (config.iterations // 4) * max(1, int(config.most_share * sizes[k][0]))
         own = levels.member(k)[COUNT:].sum()
         assert 1 <= own <= min(sizes[k][0] - sizes[k][1], most)
+        grown = levels.union[COUNT:][levels.member(k)[COUNT:]]
+        assert grown.scales.max() < 3.0 * scene.scales.max()  # none stands for all that the level lacks
     with pytest.raises(ValueError, match="importance: expected one of"):
         LevelsConfig(importance="weight")
 
