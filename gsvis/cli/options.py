@@ -54,6 +54,7 @@ __all__ = [
 C = TypeVar("C")
 
 
+_SHORT = frozenset({"as_in_paper"})  # switches that `gsvis.cli.paper` replaces by the options they are short for
 UP = "Up in the scene: an axis such as -y, or three numbers"
 IN_DOUBT = (
     "Write a picture of where people stand: the first view, and a plan with eyes; a dry run in doubt does anyway."
@@ -337,8 +338,11 @@ def _leaves(kind: Any, path: tuple[str, ...], other: OtherHelp | None) -> tuple[
 
 
 def values_of(command: Any) -> dict[str, Any]:
-    """Return the value of each option of a command by its name, in the order of the fields."""
-    return {leaf.name: leaf.of(command) for leaf in leaves(type(command))}
+    """Return the value of each option of a command by its name, in the order of the fields.
+
+    A switch that is short for other options is left out: they have been read in its place.
+    """
+    return {leaf.name: leaf.of(command) for leaf in leaves(type(command)) if leaf.name not in _SHORT}
 
 
 def value_of(command: Any, name: str) -> Any:
