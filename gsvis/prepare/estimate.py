@@ -41,6 +41,7 @@ _clock = time.perf_counter  # tests set another
 
 _CODED = 1 << 15  # Gaussians that are coded for the size of records
 _PACKED_TERM = 0.78  # size of coded terms over their raw size
+_SHARED_CLASSES = 0.65  # of the bytes of sets without directions, when cells share classes
 _SHARED_DIRECTIONS = 0.25  # bytes a Gaussian of direction sets that neighbors share: 0.1 to 0.3 in six scenes
 _FILES = 10_000  # bytes of a package besides records, terms and sets
 _STAIRCASE = 15.0  # time of the staircase over that of the views that measure the cost of rounding
@@ -210,14 +211,14 @@ class _Estimator:
         return None, disk, kept + cost.memory
 
     def _shipped(self, store: VisibilityStore | None, disk: int) -> float:
-        """Return the bytes of the sets in the package: fewer than on disk, because neighbors share direction sets.
+        """Return the bytes of the sets in the package: neighbors share directions and classes there.
 
         Args:
             store: The store, if it exists.
             disk: Its bytes.
         """
         own = DIRECTIONS_BYTES * self.union if store is None else bytes_of_directions(store.direction_sets)
-        shared = disk - own + _SHARED_DIRECTIONS * self.union
+        shared = _SHARED_CLASSES * (disk - own) + _SHARED_DIRECTIONS * self.union
         most = MOST_SHARE * RECORD_BYTES * self.union  # see `join_until_small`
         return min(shared, most) if self.config.join_cells else shared
 

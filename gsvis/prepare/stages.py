@@ -60,9 +60,9 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 __all__ = ["VERSIONS", "StageColors", "StageRecord", "Stages", "around_of"]
 
 VERSIONS = {
-    "levels": 6,
+    "levels": 7,
     "sets": 3,
-    "joined": 1,
+    "joined": 2,
     "colors": 2,
     "epsilon": 1,
     "cost": 2,

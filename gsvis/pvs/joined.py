@@ -1,17 +1,18 @@
-"""Join the cells of a store until its sets are a small part of a package, and share direction sets among neighbors.
+"""Make the store that a package gets: cells joined on request, weight classes and direction sets shared by neighbors.
 
 Small cells have small sets, so a walk needs fewer Gaussians; but there are more of them, and what neighbors see is
 nearly the same. On request cells are joined to cubes of F x F x F cells, with the least F for which the sets are at
 most a fifth of the package. A joined cell sees what any of its cells sees, so nothing is lost.
 
-Direction sets are more than a quarter of a store, and the sender does not read them. Runs of neighbors in the order of
-the package share the union of theirs.
+Direction sets are half of a store, and the sender does not read them. Runs of neighbors in the order of the package
+share the union of theirs. Weight classes are the next part. They only say what is sent first, and a Gaussian has nearly
+the same one in neighboring cells, so cubes of cells share their mean.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 
 import numpy as np
@@ -26,6 +27,7 @@ from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.store import CellSet, StoreInfo, StoreWriter, VisibilityStore
 
 __all__ = [
+    "CLASSES_SIDE",
     "DIRECTIONS_RUN",
     "MOST_SHARE",
     "RECORD_BYTES",
@@ -33,6 +35,7 @@ __all__ = [
     "JoinedCells",
     "join_cells",
     "join_until_small",
+    "share_classes",
     "walks_through",
 ]
 
@@ -45,6 +48,9 @@ MOST_SHARE = 0.25
 DIRECTIONS_RUN = 16
 """Neighbors that share a direction set in a package."""
 
+CLASSES_SIDE = 3
+"""Cells along the side of the cubes that share weight classes in a package; cells of the grid as it was built."""
+
 WALK_CELLS = 10
 """Cells of the finest grid that a walk passes."""
 
@@ -53,6 +59,7 @@ _STEPS = 40  # most steps of a walk, which may be shut in by few cells
 _SEED = 0
 
 I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
 Words = NDArray[np.uint64]
 
 
@@ -83,12 +90,12 @@ class JoinedCells:
 def join_until_small(
     store: VisibilityStore, target: str | PathLike[str], *, may_join: bool = True, progress: Progress = silent
 ) -> tuple[JoinedCells, ...]:
-    """Write a store with cells so large that its sets are small, and with shared direction sets.
+    """Write the store of a package: cells joined if that is asked for, weight classes and direction sets shared.
 
     Args:
         store: Sets as they were built.
         target: The file to write.
-        may_join: Whether cells may be joined; else only direction sets are shared.
+        may_join: Whether cells may be joined until the sets are small.
         progress: Called with stage "join".
 
     Returns:
@@ -112,6 +119,13 @@ def join_until_small(
             of = join_cells(store, written, factor)
             with VisibilityStore.open(written) as joined:
                 tried.append(JoinedCells(factor, len(joined), _bytes_of(joined), _walk(joined, walks, of), ever))
+        side = CLASSES_SIDE // tried[-1].factor
+        if side > 1:
+            shared = folder / "classes.pvs"
+            share_classes(store, shared, side)
+            with VisibilityStore.open(shared) as found:
+                tried[-1] = replace(tried[-1], nbytes=_bytes_of(found))
+            written = shared
         share_directions(written, path, DIRECTIONS_RUN)
     progress("join", 1, 1)
     return tuple(tried)
@@ -141,6 +155,46 @@ def join_cells(store: VisibilityStore, target: str | PathLike[str], factor: int)
             writer.add_cell(_join(store, np.flatnonzero(of == cell)))
         writer.finish(store.direction_sets)
     return tuple(of.tolist())
+
+
+def share_classes(store: VisibilityStore, target: str | PathLike[str], side: int) -> None:
+    """Write a store in which the cells of a cube give a Gaussian the same weight class: the mean of theirs, rounded.
+
+    Classes are logarithms of weights, so this is the geometric mean of the weights in the cells that see it.
+
+    Args:
+        store: C cells.
+        target: The file to write.
+        side: Cells along the side of a cube, at least 1.
+    """
+    _check.positive_int("side", side)
+    _, of = np.unique(store.grid.coords // side, axis=0, return_inverse=True)
+    of = of.reshape(-1)
+    made = store.certificates
+    counts = store.viewpoints
+    known: dict[int, U8] = {}
+    last = {int(cube): cell for cell, cube in enumerate(of)}  # the last cell of each cube
+    with StoreWriter(target, store.grid, store.info) as writer:
+        for cell in range(len(store)):
+            cube = int(of[cell])
+            if cube not in known:
+                known[cube] = _mean_classes(store, np.flatnonzero(of == cube))
+            ids = store.visible_ids(cell)
+            writer.add_cell(
+                CellSet(
+                    ids,
+                    known[cube][ids],
+                    int(counts[cell]),
+                    int(made.inner[cell]),
+                    int(made.rays[cell]),
+                    float(made.missed[cell]),
+                    float(made.bound[cell]),
+                    float(made.tile[cell]),
+                )
+            )
+            if last[cube] == cell:
+                del known[cube]
+        writer.finish(store.direction_sets)
 
 
 def walks_through(grid: CellGrid) -> tuple[tuple[int, ...], ...]:
@@ -194,6 +248,18 @@ def _join(store: VisibilityStore, cells: I64) -> CellSet:
         float(made.bound[cells].max()),
         float(made.tile[cells].max()),
     )
+
+
+def _mean_classes(store: VisibilityStore, cells: I64) -> U8:
+    """Return (N,) the mean weight class of each Gaussian over those of some cells that see it, rounded; 0 for none."""
+    sums = np.zeros(store.gaussians, np.uint32)
+    seen = np.zeros(store.gaussians, np.uint32)
+    for cell in cells.tolist():
+        ids, classes = store.classes(cell)
+        sums[ids] += classes
+        seen[ids] += 1
+    seen = np.maximum(seen, 1)
+    return ((2 * sums + seen) // (2 * seen)).astype(np.uint8)
 
 
 def _walk(store: VisibilityStore, walks: tuple[tuple[int, ...], ...], of: tuple[int, ...]) -> float:

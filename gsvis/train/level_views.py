@@ -29,6 +29,7 @@ from gsvis.train.photos import load_photos
 __all__ = [
     "CHOOSING",
     "NEAR",
+    "NEAR_CHOOSING",
     "WIDE",
     "LevelViews",
     "draw_views",
@@ -38,7 +39,10 @@ __all__ = [
 ]
 
 NEAR = 0.5
-"""Share of views to train by, and of the first views to choose by, that look at detail from near."""
+"""Share of views to train by that look at detail from near."""
+
+NEAR_CHOOSING = 1.0 / 6.0
+"""Share of views to choose by that look at detail from near: each gained there is lost where eyes may be."""
 
 _OTHER_SEED = 1_000_003  # added to the seed of near views, whose rule also judges levels with other seeds
 _EVERY = 8  # one in this many photos is held out
@@ -94,8 +98,8 @@ def draw_views(
         space: Allowed viewpoints.
         sampling: Size of held-out views, and the number of training views, which are smaller and wider. The next
             random stream gives the held-out views. The stream after it gives four times as many wide cameras for
-            choosing
-            Gaussians: a Gaussian that few of them see well is dropped first. `NEAR` of them look at detail instead.
+            choosing Gaussians: a Gaussian that few of them see well is dropped first. `NEAR` and `NEAR_CHOOSING` of
+            them look at detail instead.
         held_out: Number of held-out cameras; 0 for none.
         progress: Called with stage "views".
 
@@ -107,10 +111,9 @@ def draw_views(
         asked.append(replace(sampling, count=held_out, stream=sampling.stream + 1))
     total = sum(each.count for each in asked)
     found: list[PosedImages] = []
-    near = _near_cameras(g, space, sampling)
-    half = len(near) // 2
+    to_train, to_choose = _near_cameras(g, space, sampling)
     places = [each.cameras(g, space) for each in asked]
-    places[0] = _take_turns(near[:half], places[0])[: sampling.count]
+    places[0] = _mix(to_train, places[0])
     for cameras in places:
 
         def report(stage: str, done: int, of: int, before: int = sum(map(len, found))) -> None:
@@ -123,29 +126,34 @@ def draw_views(
         raise SceneError("views from inside the scene are empty; check the up axis")
     drawn = f"drawn at random where eyes may be ({space.rule})"
     choosing = views_to_choose(sampling)
-    many = choosing.cameras(g, space)
-    many = _take_turns(near[half:].resize(choosing.width, choosing.height), many)[: choosing.count]
+    many = _mix(to_choose.resize(choosing.width, choosing.height), choosing.cameras(g, space))
     return LevelViews(found[0], found[1] if held_out else None, drawn, False, many, space=space)
 
 
-def _near_cameras(g: Gaussians, space: NavigableSpace, sampling: ViewSampling) -> Cameras:
-    """Return cameras near detail, half of them to train by, half to choose by; none in rooms, whose space holds them.
+def _near_cameras(g: Gaussians, space: NavigableSpace, sampling: ViewSampling) -> tuple[Cameras, Cameras]:
+    """Return cameras near detail to train by and to choose by; none in rooms, whose space holds them.
 
     They follow the rule of judge's eyes, with a seed of their own.
     """
-    count = 0 if space.kind.kind == "rooms" else 2 * round(NEAR * sampling.count)
-    small = views_to_train(sampling)
-    return find_judges(g, replace(small, count=count, fov=sampling.fov, seed=sampling.seed + _OTHER_SEED)).cameras
+    to_train = round(NEAR * sampling.count)
+    count = to_train + round(NEAR_CHOOSING * CHOOSING * sampling.count)
+    if space.kind.kind == "rooms":
+        count = 0
+    asked = replace(views_to_train(sampling), count=count, fov=sampling.fov, seed=sampling.seed + _OTHER_SEED)
+    near = find_judges(g, asked).cameras
+    return near[:to_train], near[to_train:]
 
 
-def _take_turns(first: Cameras, second: Cameras) -> Cameras:
-    """Return cameras of two kinds in turn, then what is left of the longer."""
-    if len(first) == 0:
-        return second
-    places = np.concatenate([np.arange(len(first)), np.arange(len(second)) + 0.5])
-    order = np.argsort(places, kind="stable")
-    viewmats = np.concatenate([first.viewmats, second.viewmats])[order]
-    return Cameras(viewmats, np.concatenate([first.Ks, second.Ks])[order], second.width, second.height)
+def _mix(near: Cameras, anywhere: Cameras) -> Cameras:
+    """Return as many cameras as are given anywhere, the first of which are replaced by near ones, spread evenly."""
+    if len(near) == 0:
+        return anywhere
+    rest = anywhere[min(len(near), len(anywhere)) :]
+    places = np.concatenate([(np.arange(len(each)) + 0.5) / max(len(each), 1) for each in (near, rest)])
+    order = np.argsort(places, kind="stable")[: len(anywhere)]
+    viewmats = np.concatenate([near.viewmats, rest.viewmats])[order]
+    Ks = np.concatenate([near.Ks, rest.Ks])[order]
+    return Cameras(viewmats, Ks, anywhere.width, anywhere.height)
 
 
 def views_to_train(sampling: ViewSampling) -> ViewSampling:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +49,7 @@ CHOICES = ("removal", "gradient")
 
 _FAINT = 0.05  # opacity of a clone of a Gaussian that stays
 _PREVIEW_NAME = "preview"
+_SLOW = 0.2  # of the learning rates of a level that resembles its images
 _CHOICE = 2  # increase it if the same cameras would choose different Gaussians
 
 
@@ -278,6 +279,8 @@ def train_levels(
             if choose_by is not None:  # photographs differ from the scene by more than a merge does
                 begin = fit_opacities(begin, scene[stays], views)
         training = config.training(total, scene.sh_degree)
+        if frozen and config.merged and choose_by is not None:  # it resembles its images already
+            training = _slow(training)
         trainer = Trainer(views, begin, training, frozen=scene[stays], held_out=held_out, space=space)
         kept = None if work is None else Path(work) / f"{name}.checkpoint"
         result = trainer.run(checkpoint=kept, progress=report)
@@ -294,6 +297,12 @@ def _clone_one(stays: Gaussians) -> Gaussians:
     covered = stays.opacities * np.sort(stays.scales, axis=1)[:, 1:].prod(axis=1)
     one = stays[most_important(stays, covered, 1)]
     return replace(one, opacities=np.minimum(one.opacities, np.float32(_FAINT)))
+
+
+def _slow(training: TrainConfig) -> TrainConfig:
+    """Return the same training with lower rates: at full rates views that differ from those trained on get worse."""
+    names = [each.name for each in fields(training) if each.name.endswith(("_rate", "_rate_end"))]
+    return replace(training, **{name: _SLOW * getattr(training, name) for name in names})
 
 
 def _subsets(

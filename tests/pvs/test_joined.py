@@ -15,6 +15,7 @@ from gsvis.pvs.joined import (
     JoinedCells,
     join_cells,
     join_until_small,
+    share_classes,
     walks_through,
 )
 from gsvis.pvs.store import VisibilityStore
@@ -70,6 +71,26 @@ def test_neighbors_share_the_union_of_their_directions(tmp_path: Path, run: int)
                 assert (shared.direction_sets[start : start + run] == union).all()
             for cell in range(len(own)):
                 assert np.array_equal(shared.visible_ids(cell), own.visible_ids(cell))
+
+
+@pytest.mark.parametrize("side", [1, 2, 3])
+def test_cubes_of_cells_share_the_mean_of_their_classes(tmp_path: Path, side: int) -> None:
+    with noise_store(tmp_path / "own.pvs") as own:
+        share_classes(own, tmp_path / "shared.pvs", side)
+        with VisibilityStore.open(tmp_path / "shared.pvs") as shared:
+            shared.verify()
+            assert (shared.direction_sets == own.direction_sets).all()
+            assert np.array_equal(shared.certificates.bound, own.certificates.bound)
+            assert np.array_equal(shared.viewpoints, own.viewpoints)
+            cubes = [tuple(row) for row in (own.grid.coords // side).tolist()]
+            for cell, cube in enumerate(cubes):
+                told: dict[int, list[int]] = {}
+                for other in (k for k, each in enumerate(cubes) if each == cube):
+                    for gaussian, number in zip(*own.classes(other), strict=True):
+                        told.setdefault(int(gaussian), []).append(int(number))
+                ids, classes = shared.classes(cell)
+                assert np.array_equal(ids, own.visible_ids(cell))
+                assert classes.tolist() == [int(np.mean(told[int(i)]) + 0.5) for i in ids]
 
 
 def test_cells_are_joined_until_sets_are_a_fifth_and_no_longer(tmp_path: Path) -> None:
