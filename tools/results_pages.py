@@ -198,6 +198,7 @@ PAGES = {
             "streamed_sog",
             "streamed_sog_nika",
             "level_choice",
+            "level_choice_nika",
             "tiles",
             "tiles_valid",
         ),

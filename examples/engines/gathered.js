@@ -7,8 +7,11 @@ export function gatherShown(read, build) {
   const rebuild = async () => {
     if (busy || !stale) return;
     [busy, stale] = [true, false];
-    await build([...shown]);
-    busy = false;
+    try {
+      await build([...shown]);
+    } finally {
+      busy = false;
+    }
     requestAnimationFrame(rebuild);
   };
   const change = (thing, yes) => {

@@ -33,13 +33,22 @@ export function leafLights(scene, views, fill = false) {
   return lights;
 }
 
-/** Returns the coarsest level that each leaf may have: that by distance, if a camera looks at it and its cell (or a neighboring one, for `fill`) sees it; else -1. */
-function leastLevels(scene, views, most, fill) {
-  const lods = levelsByDistance(scene, views, most), cameras = views.filter(({ weight = 1 }) => weight >= 1);
-  return lods.map((lod, leaf) => {
-    const sees = ({ position, forward = null }) => (!forward || scene.ahead(leaf, position, forward)) && rowsOf(scene, position, fill).some(([row]) => scene.rows[row][leaf]);
-    return cameras.some(sees) ? lod : -1;
-  });
+/** Returns what guards a budget: the level of each leaf by distance, whether a camera looks at it, and whether its cell (or a neighboring one, for `fill`) sees it then. */
+function guardOf(scene, views, most, fill) {
+  const cameras = views.filter(({ weight = 1 }) => weight >= 1), looks = (leaf) => ({ position, forward = null }) => !forward || scene.ahead(leaf, position, forward) > 0;
+  const ahead = scene.leaves.map((_, leaf) => cameras.filter(looks(leaf)));
+  const seen = ahead.map((some, leaf) => some.some(({ position }) => rowsOf(scene, position, fill).some(([row]) => scene.rows[row][leaf])));
+  return { distance: levelsByDistance(scene, views, most), ahead: ahead.map((some) => some.length > 0), seen };
+}
+
+/** Returns the finest level that a leaf may have in each phase of a choice. */
+function phasesOf(scene, { distance, ahead, seen }) {
+  const coarsest = scene.leaves.map(({ lods }) => lods.findLastIndex((lod) => lod));
+  return [
+    (leaf) => (seen[leaf] ? 0 : coarsest[leaf]), // what the cameras see; of the rest, something to turn to
+    (leaf) => (seen[leaf] ? 0 : ahead[leaf] && distance[leaf] >= 0 ? distance[leaf] : coarsest[leaf]), // the visible set may miss something
+    () => 0,
+  ];
 }
 
 /** Returns the error of a leaf at a level, -1 for not drawn. */
@@ -86,21 +95,24 @@ function* takeSteps(scene, lights, budget, rules) {
 /** Returns the level of each leaf (-1: do not draw it) so that at most so many splats are drawn, and their number.
  *
  * It begins with the choice by distance for what the cameras see, and spends on light times error what that choice spends on the rest. So
- * no leaf in view is coarser than by distance. `guard: false` begins with nothing.
+ * no leaf in view is coarser than by distance. The rest gets more than its coarsest level when no step for what is seen fits. `guard: false` begins with nothing.
  * `quality` ends the choice when so many dB of PSNR are expected, against everything at its finest level.
  * `fill` spends what is left of the budget on leaves that the cell does not see: they show where its visible set misses something. */
 export function chooseLevels(scene, views, most = Infinity, { fill = false, guard = true, quality = Infinity } = {}) {
-  const lods = guard && most < Infinity ? leastLevels(scene, views, most, fill) : new Int8Array(scene.leaves.length).fill(-1);
-  const rules = { cost: (to, from) => to.count - (from?.count ?? 0), first: (leaf) => lods[leaf], last: () => 0 };
+  const guarded = guard && most < Infinity ? guardOf(scene, views, most, fill) : null;
+  const lods = Int8Array.from(scene.leaves, (_, leaf) => (guarded?.seen[leaf] ? guarded.distance[leaf] : -1));
   const lights = leafLights(scene, views, fill), sum = (of) => lods.reduce((total, lod, leaf) => total + of(leaf, lod), 0);
   let splats = sum((leaf, lod) => (lod < 0 ? 0 : scene.leaves[leaf].lods[lod].count));
   let error = sum((leaf, lod) => lights[leaf] * errorOf(scene, leaf, lod));
   const enough = quality < Infinity ? 10 ** (-quality / 10) * sum((leaf) => lights[leaf]) : -Infinity;
-  for (const { leaf, from, lod, paid } of takeSteps(scene, lights, most - splats, rules)) {
-    if (error <= enough) break;
-    error -= lights[leaf] * (errorOf(scene, leaf, from) - errorOf(scene, leaf, lod));
-    lods[leaf] = lod;
-    splats += paid;
+  for (const last of guarded ? phasesOf(scene, guarded) : [() => 0]) {
+    const rules = { cost: (to, from) => to.count - (from?.count ?? 0), first: (leaf) => lods[leaf], last };
+    for (const { leaf, from, lod, paid } of takeSteps(scene, lights, most - splats, rules)) {
+      if (error <= enough) break;
+      error -= lights[leaf] * (errorOf(scene, leaf, from) - errorOf(scene, leaf, lod));
+      lods[leaf] = lod;
+      splats += paid;
+    }
   }
   return { lods, splats };
 }

@@ -22,25 +22,53 @@ def power(quarters: int) -> float:
     return float(ROOTS[quarters % 4] * 2.0 ** (quarters // 4))
 
 
-def choose(case: dict[str, Any], *, guard: bool = True, quality: float = float("inf")) -> tuple[list[int], int]:
-    """Return the level of each leaf within the splats of a case, -1 for not drawn, and the splats."""
-    first = [-1] * len(case["lights"])
-    if guard and case["splats"] < float("inf"):
-        seen = [light > 0 for light in case["lights"]]
-        first = [lod if sees else -1 for lod, sees in zip(by_distance(case), seen, strict=True)]
-    lods = list(first)
+def choose(
+    case: dict[str, Any], *, guard: bool = True, quality: float = float("inf"), fill: bool = False, turned: bool = False
+) -> tuple[list[int], int]:
+    """Return the level of each leaf within the splats of a case, -1 for not drawn, and the splats.
+
+    Args:
+        case: A case.
+        guard: Begin with the choice by distance for what is seen, and serve that first.
+        quality: PSNR at which to end.
+        fill: Draw what the cell does not see, too.
+        turned: Look at the leaves that `ahead` names, not at all.
+    """
+    count = len(case["lights"])
+    guarded = guard and case["splats"] < float("inf")
+    ahead = [not turned or leaf in case["ahead"] for leaf in range(count)]
+    sees = [light > 0 or (fill and beside > 0) for light, beside in zip(case["lights"], case["beside"], strict=True)]
+    seen = [guarded and a and s for a, s in zip(ahead, sees, strict=True)]
+    distance = by_distance(case, turned) if guarded else [-1] * count
+    lods = [lod if s else -1 for lod, s in zip(distance, seen, strict=True)]
     splats = sum(case["counts"][leaf][lod] for leaf, lod in enumerate(lods) if lod >= 0)
-    lights = [power(byte - 255) if byte else 0.0 for byte in case["lights"]]
-    for leaf, lod, paid in steps(case, "counts", case["splats"] - splats, [0] * len(lods), first):
-        left = sum(light * error(case, k, lods[k]) for k, light in enumerate(lights))
-        if left <= 10.0 ** (-quality / 10.0) * sum(lights) and quality < float("inf"):
-            break
-        lods[leaf] = lod
-        splats += paid
+    lights = worths(case, fill, turned)
+    enough = 10.0 ** (-quality / 10.0) * sum(lights) if quality < float("inf") else -1.0
+    coarsest = [max((lod for lod, n in enumerate(row) if n), default=-1) for row in case["counts"]]
+    back = [d if a and d >= 0 else c for d, a, c in zip(distance, ahead, coarsest, strict=True)]
+    phases = [[0 if s else c for s, c in zip(seen, rest, strict=True)] for rest in (coarsest, back)] if guarded else []
+    for last in [*phases, [0] * count]:
+        for leaf, lod, paid in steps(case, "counts", case["splats"] - splats, last, lods, lights):
+            if sum(light * error(case, k, lods[k]) for k, light in enumerate(lights)) <= enough:
+                break
+            lods[leaf] = lod
+            splats += paid
     return lods, splats
 
 
-def by_distance(case: dict[str, Any]) -> list[int]:
+def worths(case: dict[str, Any], fill: bool, turned: bool) -> list[float]:
+    """Return the worth of each leaf: its light, and a little of that in neighboring cells and in any cell."""
+    parts = [(1.0, case["lights"]), *([(1 / 64, case["beside"]), (1 / 4096, case["everywhere"])] if fill else [])]
+    near = [1.0 if not turned or leaf in case["ahead"] else 1 / 16 for leaf in range(len(case["lights"]))]
+    return [max(n * share * light_of(row[leaf]) for share, row in parts) for leaf, n in enumerate(near)]
+
+
+def light_of(byte: int) -> float:
+    """Return the light of a byte; 0 is none."""
+    return power(byte - 255) if byte else 0.0
+
+
+def by_distance(case: dict[str, Any], turned: bool = False) -> list[int]:
     """Return the levels that an engine chooses by distance from the origin, -1 for all if the coarsest do not fit."""
     counts, boxes = np.array(case["counts"]), np.array(case["boxes"])
     levels = [[lod for lod, count in enumerate(row) if count] for row in case["counts"]]
@@ -52,6 +80,8 @@ def by_distance(case: dict[str, Any]) -> list[int]:
     shrunk = 0.75 * np.maximum(half - np.sort(half, axis=0)[len(half) // 2], 0.0)
     away = np.clip(0.0, boxes[:, 0] + shrunk, boxes[:, 1] - shrunk)
     distances = np.maximum(np.sqrt(np.square(away).sum(axis=1)), 1e-6)
+    if turned:  # to +x
+        distances = distances * np.where(distances > 1e-2, 1.0 + np.maximum(-away[:, 0] / distances, 0.0) / 2.0, 1.0)
     finer = [(leaf, k) for leaf, own in enumerate(levels) for k in range(len(own) - 1)]
     for leaf, k in sorted(finer, key=lambda step: distances[step[0]] / 3.0 ** (levels[step[0]][step[1]] + 1)):
         paid = int(counts[leaf, levels[leaf][k]] - counts[leaf, levels[leaf][k + 1]])
@@ -66,7 +96,8 @@ def order(case: dict[str, Any], lods: list[int]) -> list[Step]:
     """Return the files in the order to load, within the bytes of a case."""
     left = case["most_bytes"]
     found: list[Step] = []
-    for leaf, lod, paid in steps(case, "bytes", left, lods, [-1] * len(lods)):
+    lights = worths(case, False, False)
+    for leaf, lod, paid in steps(case, "bytes", left, lods, [-1] * len(lods), lights):
         found.append((leaf, lod))
         left -= paid
     for leaf, lod in enumerate(lods):  # what has no less error than a coarser level comes last
@@ -77,15 +108,15 @@ def order(case: dict[str, Any], lods: list[int]) -> list[Step]:
 
 
 def steps(
-    case: dict[str, Any], unit: str, left: float, last: list[int], first: list[int]
+    case: dict[str, Any], unit: str, left: float, last: list[int], first: list[int], lights: list[float]
 ) -> list[tuple[int, int, int]]:
     """Take one step after the other: of all that fit, the one that removes most error for its cost."""
     at = list(first)
     taken = []
     while True:
         best: tuple[float, int, int, int] | None = None
-        for leaf, byte in enumerate(case["lights"]):
-            own = best_step(case, leaf, byte, at[leaf], unit, left, last[leaf])
+        for leaf, light in enumerate(lights):
+            own = best_step(case, leaf, light, at[leaf], unit, left, last[leaf])
             if own is not None and (best is None or own[0] > best[0]):
                 best = own
         if best is None:
@@ -97,10 +128,10 @@ def steps(
 
 
 def best_step(
-    case: dict[str, Any], leaf: int, byte: int, at: int, unit: str, left: float, last: int
+    case: dict[str, Any], leaf: int, light: float, at: int, unit: str, left: float, last: int
 ) -> tuple[float, int, int, int] | None:
     """Return (gain, leaf, level, cost) of the best step of one leaf that fits."""
-    if byte == 0 or last < 0:
+    if light == 0.0 or last < 0:
         return None
     costs = case[unit][leaf]
     now = error(case, leaf, at)
@@ -109,7 +140,7 @@ def best_step(
         if case["counts"][leaf][lod] == 0 or error(case, leaf, lod) >= now:
             continue
         paid = costs[lod] - (costs[at] if at >= 0 and unit == "counts" else 0)
-        gain = power(byte - 255) * (now - error(case, leaf, lod)) / max(paid, 1)
+        gain = light * (now - error(case, leaf, lod)) / max(paid, 1)
         if paid <= left and (best is None or gain > best[0]):
             best = (gain, leaf, lod, paid)
     return best
@@ -138,6 +169,9 @@ def make_case(seed: int) -> dict[str, Any]:
         "absent": 0.125,
         "boxes": np.stack([low, high], axis=1).tolist(),
         "lights": (rng.integers(1, 255, leaves) * (rng.random(leaves) < 0.8)).tolist(),
+        "beside": (rng.integers(1, 255, leaves) * (rng.random(leaves) < 0.5)).tolist(),
+        "everywhere": rng.integers(1, 256, leaves).tolist(),
+        "ahead": np.flatnonzero(rng.random(leaves) < 0.6).tolist(),
         "counts": counts.tolist(),
         "bytes": (counts * 9 + (counts > 0) * 800).tolist(),
         "errors": (errors * (counts > 0)).tolist(),

@@ -25,21 +25,24 @@ import { power } from "MODULE";
 const found = JSON.parse(readFileSync(process.argv[2], "utf8")).map((c) => {
   const lods = (k) => c.counts[k].map((count, lod) => (count ? { count, bytes: c.bytes[k][lod] } : null));
   const errors = (k) => c.errors[k].map((byte) => byte && power(byte - 255));
-  const leaves = c.counts.map((_, k) => ({ lods: lods(k), errors: errors(k), min: c.boxes[k][0], max: c.boxes[k][1] }));
-  const rows = [c.lights, c.lights.map(() => 255)];
-  const ahead = (leaf) => (leaf === 0 ? 256 : 0);
-  const scene = { leaves, rows, ahead, header: { absent: c.absent }, cellAt: ([x]) => ({ row: x }),
-    neighbors: () => [{ row: 1 }] };
-  const views = [{ position: [0, 0, 0] }], chosen = chooseLevels(scene, views, c.splats);
-  const all = chooseLevels(scene, views), plain = chooseLevels(scene, views, c.splats, { guard: false });
-  const good = chooseLevels(scene, views, Infinity, { quality: 30 });
-  const turned = leafLights(scene, [{ position: [0, 0, 0], forward: [1, 0, 0] }]);
-  const two = leafLights(scene, [...views, { position: [1, 0, 0], weight: 0.5 }]);
-  return { lods: [...chosen.lods], drawn: chosen.splats, order: loadOrder(scene, views, chosen.lods, c.most_bytes),
-    all: [...all.lods], plain: [...plain.lods], good: [...good.lods],
+  const box = (k) => ({ min: c.boxes[k][0], max: c.boxes[k][1] });
+  const leaves = c.counts.map((_, k) => ({ lods: lods(k), errors: errors(k), ...box(k) }));
+  const rows = [c.everywhere, c.lights, c.beside, c.lights.map(() => 255)];
+  const ahead = (leaf) => (c.ahead.includes(leaf) ? 256 : 0);
+  const scene = { leaves, rows, ahead, header: { absent: c.absent }, cellAt: ([x]) => ({ row: 1 + 2 * x }),
+    neighbors: () => [{ row: 2 }] };
+  const views = [{ position: [0, 0, 0] }], turned = [{ position: [0, 0, 0], forward: [1, 0, 0] }];
+  const chosen = chooseLevels(scene, views, c.splats);
+  return {
+    lods: [...chosen.lods], drawn: chosen.splats, order: loadOrder(scene, views, chosen.lods, c.most_bytes),
+    all: [...chooseLevels(scene, views).lods],
+    plain: [...chooseLevels(scene, views, c.splats, { guard: false }).lods],
+    good: [...chooseLevels(scene, views, Infinity, { quality: 30 }).lods],
+    filled: [...chooseLevels(scene, turned, c.splats, { fill: true }).lods],
     distance: [...levelsByDistance(scene, views, c.splats)],
-    once: [...leafLights(scene, views)], turned: [...turned], two: [...two],
-    filled: [...leafLights(scene, views, true)] };
+    lit: [false, true].map((fill) => [...leafLights(scene, turned, fill)]),
+    two: [...leafLights(scene, [...views, { position: [1, 0, 0], weight: 0.5 }])],
+  };
 });
 console.log(JSON.stringify(found));
 """
@@ -95,12 +98,11 @@ def test_levels_are_chosen_as_the_reference_chooses(tmp_path: Path) -> None:
         assert found["all"] == choosing.choose({**case, "splats": float("inf")})[0]
         assert found["good"] == choosing.choose({**case, "splats": float("inf")}, quality=30.0)[0]
         assert found["plain"] == choosing.choose(case, guard=False)[0]
+        assert found["filled"] == choosing.choose(case, fill=True, turned=True)[0]
         assert found["distance"] == choosing.by_distance(case)
-        lit = np.array(found["once"])
-        ahead = np.where(np.arange(len(lit)) == 0, 1.0, 1 / 16)  # the first leaf alone is in the view
-        assert found["turned"] == (lit * ahead).tolist()
-        assert found["filled"] == np.maximum(lit, 1 / 64).tolist()  # a neighbor sees all brightly
-        assert found["two"] == np.maximum(lit, 0.5).tolist()  # a second view, of half the weight, sees all brightly
+        assert found["lit"] == [choosing.worths(case, fill, True) for fill in (False, True)]
+        once = np.array(choosing.worths(case, False, False))
+        assert found["two"] == np.maximum(once, 0.5).tolist()  # a second view, of half the weight, sees all brightly
 
 
 def test_more_splats_leave_less_error_and_never_pass_the_budget() -> None:
@@ -115,12 +117,15 @@ def test_more_splats_leave_less_error_and_never_pass_the_budget() -> None:
         assert left == sorted(left, reverse=True)
 
 
-def test_nothing_that_a_cell_sees_is_coarser_than_by_distance() -> None:
+def test_nothing_in_view_is_coarser_than_by_distance() -> None:
     for seed in range(200, 232):
         case = choosing.make_case(seed)
-        lods, _ = choosing.choose(case)
-        for light, own, distance in zip(case["lights"], lods, choosing.by_distance(case), strict=True):
-            assert light == 0 or distance < 0 or 0 <= own <= distance
+        lods, _ = choosing.choose(case, fill=True, turned=True)
+        distances = choosing.by_distance(case, True)
+        sees = np.array(case["lights"]) + np.array(case["beside"]) > 0
+        for leaf, (own, distance) in enumerate(zip(lods, distances, strict=True)):
+            in_view = leaf in case["ahead"]
+            assert not in_view or not sees[leaf] or distance < 0 or 0 <= own <= distance
 
 
 def test_a_sidecar_of_another_scene_is_refused(tmp_path: Path) -> None:
