@@ -245,6 +245,36 @@ test("angles of SuperSplat cover the longer side; others are of the height, and 
   delete own.innerHeight;
 });
 
+/** Return where SuperSplat's viewer draws a point of its frame: a camera of PlayCanvas that looks along -z, up is +y. */
+function drawnBySuperSplat(pose: { position: Vec3; target: Vec3; fov: number }, point: Vec3, width: number, height: number): Vec3 {
+  const back = v.normalize(v.subtract(pose.position, pose.target));
+  const right = v.normalize(v.cross([0, 1, 0], back)), above = v.cross(back, right);
+  const offset = v.subtract(point, pose.position), depth = -v.dot(offset, back), aspect = width / height;
+  const half = Math.tan((pose.fov * rigs.DEGREES) / 2); // `horizontalFov` is set in windows that are wider than high
+  const [x, y] = width > height ? [half, half / aspect] : [half * aspect, half];
+  const [left, up] = [v.dot(offset, right) / (depth * x), v.dot(offset, above) / (depth * y)];
+  return [(width / 2) * (1 + left), (height / 2) * (1 - up), depth];
+}
+
+test("points of settings are drawn where SuperSplat's viewer draws them, in windows of any shape", () => {
+  const own = globalThis as { innerWidth?: number; innerHeight?: number };
+  const points: Vec3[] = [[0, 0, 0], [0.7, 0.2, -0.4], [-1.1, 0.9, 0.3], [0.2, -1.3, 0.8]];
+  for (const [width, height] of [[1600, 900], [900, 1600], [700, 700], [390, 844], [2000, 500]]) {
+    [own.innerWidth, own.innerHeight] = [width, height];
+    for (const fov of [30, 60, 90]) {
+      const pose = { position: [2.5, 1.2, 3] as Vec3, target: [0.1, -0.2, 0.3] as Vec3, fov };
+      const [view] = readSettings({ version: 2, cameras: [{ initial: pose }] }).views;
+      const shown = { eye: view.eye, to: view.to, fov: fovOf(view) / rigs.DEGREES };
+      for (const point of points) {
+        const found = project([-point[0], -point[1], point[2]], shown, [0, -1, 0], width, height)!;
+        near([found.x, found.y, found.depth], drawnBySuperSplat(pose, point, width, height), 1e-6);
+      }
+    }
+  }
+  delete own.innerWidth;
+  delete own.innerHeight;
+});
+
 test("an address can say which way is up", () => {
   assert.deepEqual(readUp("#eye=1,2,3&up=0,-1,0"), [0, -1, 0]);
   for (const bad of ["", "#up=0,0,0", "#up=1,2", "#up=x,0,0"]) assert.equal(readUp(bad), null);
