@@ -182,7 +182,7 @@ PAGES = {
             "world_cluster",
         ),
     ),
-    "edit": Page("Editing scenes", ("cut", "cut_unseen", "from_outside", "clean")),
+    "edit": Page("Editing scenes", ("cut", "cut_unseen", "from_outside", "budget", "budget_showroom", "clean")),
     "viewer": Page(
         "The viewer",
         (

@@ -84,6 +84,9 @@ _SAID = {
     "certificate": "certifying by rays",
     "held_out": "drawing views before and after",
     "light": "measuring the light from inside",
+    "opening": "finding what covers the space",
+    "fill": "counting splats over pixels",
+    "removal": "weighing what could go",
 }
 _clock = time.perf_counter  # tests replace it
 _SIZES = ("GB", 10**9), ("MB", 10**6), ("kB", 10**3)

@@ -1,38 +1,41 @@
 """Make a lighter version of a scene that holds a budget of splats and of fill in every view of its eyes.
 
 A view is square and 90 degrees wide; the six of a cube around an eye see all of it. Fill is that of
-`gsvis.render.fill`. Gaussians are merged until the heaviest views hold the budget, after the faintest are left out if
-pictures are better for it. Other eyes check the result, and where they see too much, more is merged.
+`gsvis.render.fill`. Round by round, Gaussians are left out (`shedding.py`) and the others are trained on pictures of
+the whole scene, so that they close the gaps. Training makes Gaussians larger, so the last round leaves shapes as they
+are. Where pictures of merged Gaussians are better, the rounds begin with these. Other eyes check the result, and where
+they see too much, more is left out.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.errors import SceneError
+from gsvis.edit.shedding import Load, Pictures, look, shares, shed
 from gsvis.progress import Progress, silent
 from gsvis.render import measure_fill, psnr, rasterize
-from gsvis.render.fill import SIDE, view_fill
+from gsvis.render.fill import SIDE
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
-from gsvis.train.merge import merge_gaussians
+from gsvis.train.pairs import merge_pairs
 
 __all__ = ["Budget", "Budgeted", "fit_budget"]
 
 F64 = NDArray[np.float64]
 
-_ROOM = 0.95  # share of the budget that is aimed at: other eyes see a little more
-_ROUNDS = 3  # times that other eyes check, and more is removed where they see too much
-_STEPS = 40  # removals until a budget holds, at most
-_FAINT = (0.0, 0.002)  # shares of the light of all views, tried, that is left out before the rest is merged
-_HEAVY = 8  # views with most that decide how far Gaussians are merged
+_ROOM = 0.97  # share of the budget that is aimed at: other eyes see a little more
+_CHECKS = 5  # times that other eyes check, and more is left out where they see too much
+_ROUNDS = 4  # of leaving out and training, at most
+_FALL = 1.3  # factor by which the heaviest view becomes lighter in a round
+_HEAVY = 24  # views with most that are looked at again after training
+_EVERY = 6  # of the pictures, compared to choose how to begin
 _MERGES = 4  # sizes tried
+_AROUND = 192  # pixels of a side of the views around eyes that say what Gaussians are worth
 _CAP = 100.0  # dB of equal pictures
 _BUILD, _JUDGE, _CHECK = range(3)  # random streams of eyes; checks take those from the last on
 
@@ -45,15 +48,17 @@ class Budget:
         splats: Gaussians that cover a pixel of a view; None is no limit.
         fill: Mean number of Gaussians that cover a pixel of a view; None is no limit.
         eyes: Eyes for which the version is made, and that check it.
+        steps: Training steps of a round; 0 leaves what stays as it is.
         seed: Seed of all eyes.
 
     Raises:
-        ValueError: If there is no limit, or one is not positive.
+        ValueError: If there is no limit, or a value is not positive.
     """
 
     splats: int | None = None
     fill: float | None = None
     eyes: int = 12
+    steps: int = 100
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -63,10 +68,17 @@ class Budget:
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise ValueError(f"{name}: expected more than 0, got {value!r}")
+        if self.steps < 0:
+            raise ValueError(f"steps: expected at least 0, got {self.steps!r}")
 
     def share(self, splats: F64, mean: F64) -> F64:
         """Return the share of the budget that views take: the larger of both; above 1 it does not hold."""
         return np.maximum(splats / (self.splats or np.inf), mean / (self.fill or np.inf))
+
+    def cost(self, covered: NDArray[np.float32]) -> F64:
+        """Return the share of the budget of a view that each splat takes: of the splats and of the fill."""
+        each = 1.0 / self.splats if self.splats else 0.0
+        return np.asarray(each + covered / (self.fill or np.inf), np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +102,6 @@ class Budgeted:
     worst_db: float
 
 
-class _Seen(NamedTuple):
-    """The Gaussians of one view, the share of pixels that each covers, and its light in the view."""
-
-    ids: NDArray[np.int32]
-    covered: NDArray[np.float32]
-    light: NDArray[np.float32]
-
-
 def fit_budget(g: Gaussians, space: NavigableSpace, budget: Budget, progress: Progress = silent) -> Budgeted:
     """Return a version of a scene that holds a budget at every eye of a space.
 
@@ -105,113 +109,139 @@ def fit_budget(g: Gaussians, space: NavigableSpace, budget: Budget, progress: Pr
         g: N Gaussians.
         space: Where eyes may be.
         budget: The limits.
-        progress: Called with stage "budget", in views.
+        progress: Called with stages "fill", "removal" and "views", in views, and "train", in steps.
 
     Raises:
         SceneError: If the space has no eyes outside of solid parts, or nothing would be left.
     """
-    views = Cameras.cubemap(_eyes(g, space, budget, _BUILD), SIDE)
+    eyes = _eyes(g, space, budget, _BUILD)
+    pictures = Pictures(_cameras(g, space, budget, _BUILD), Cameras.cubemap(eyes, _AROUND))
     before = measure_fill(g, _checking(g, space, budget, 0), progress=progress)
-    most = budget.share(before.splats, before.mean).max()
-    version = g if most <= _ROOM else _lighten(g, space, views, budget, progress)
-    for k in range(_ROUNDS):
+    lightening = _Lightening(g, Cameras.cubemap(eyes, SIDE), pictures, budget, progress)
+    if budget.share(before.splats, before.mean).max() > _ROOM:
+        lightening.run()
+    aim = _ROOM
+    for k in range(_CHECKS):
         others = _checking(g, space, budget, k)
-        after = measure_fill(version, others, progress=progress)
-        held = bool((budget.share(after.splats, after.mean) <= 1.0).all())
-        if held or k + 1 == _ROUNDS:
+        after = measure_fill(lightening.version, others, progress=progress)
+        share = float(budget.share(after.splats, after.mean).max())
+        if share <= 1.0 or k + 1 == _CHECKS:
             break
-        version = _merge(version, others, budget, progress)
+        aim /= np.sqrt(share)  # the next eyes see more, too, but less: these count from now on
+        lightening.tighten(others, aim)
+    version = lightening.version
     found = _likeness(g, version, _cameras(g, space, budget, _JUDGE))
-    return Budgeted(version, before.largest(), after.largest(), held, float(found.mean()), float(found.min()))
+    return Budgeted(version, before.largest(), after.largest(), share <= 1.0, float(found.mean()), float(found.min()))
 
 
-def _lighten(g: Gaussians, space: NavigableSpace, views: Cameras, budget: Budget, progress: Progress) -> Gaussians:
-    """Return the version that looks best: some faint Gaussians are left out, then the rest is merged."""
-    seen = _look(g, views, progress)
-    light = np.zeros(len(g))
-    for view in seen:
-        light[view.ids] += view.light
-    heavy = views[np.argsort(-budget.share(*_loads(seen)), kind="stable")[:_HEAVY]]
-    cameras = _cameras(g, space, budget, _BUILD)
-    order = np.argsort(light, kind="stable")
-    lost = np.cumsum(light[order]) / max(float(light.sum()), 1e-30)
-    versions = []
-    for share in _FAINT:
-        kept = np.sort(order[lost >= share])
-        versions.append(_merge(g[kept], heavy, budget, progress))
-    return max(versions, key=lambda version: float(_likeness(g, version, cameras).mean()))
+class _Lightening:
+    """A scene that becomes lighter.
 
-
-def _merge(g: Gaussians, views: Cameras, budget: Budget, progress: Progress) -> Gaussians:
-    """Return a scene merged until views hold the budget; what merging does not reach is left out."""
-    version = g
-    count = len(g)
-    for _ in range(_MERGES):
-        found = measure_fill(version, views, progress=progress)
-        most = float(budget.share(found.splats, found.mean).max())
-        if most <= _ROOM:
-            return version
-        count = max(1, int(0.99 * count * _ROOM / most))
-        version = merge_gaussians(g, count)
-    return _drop(version, _look(version, views, progress), budget)
-
-
-def _look(g: Gaussians, views: Cameras, progress: Progress) -> list[_Seen]:
-    """Return what each view sees."""
-    seen = []
-    progress("budget", 0, len(views))
-    for c in range(len(views)):
-        found = view_fill(g, views[c])
-        covered = (found.covered / found.fill.size).astype(np.float32)
-        seen.append(_Seen(found.ids.astype(np.int32), covered, found.light.astype(np.float32)))
-        progress("budget", c + 1, len(views))
-    return seen
-
-
-def _loads(seen: list[_Seen]) -> tuple[F64, F64]:
-    """Return the splats and the mean fill of views."""
-    return np.array([len(each.ids) for each in seen], float), np.array([each.covered.sum() for each in seen], float)
-
-
-def _drop(g: Gaussians, seen: list[_Seen], budget: Budget) -> Gaussians:
-    """Return a scene without the Gaussians that give least light for their share of the budget in views over it.
-
-    Raises:
-        SceneError: If nothing would be left.
+    Attributes:
+        version: The version so far.
     """
-    kept = np.ones(len(g), np.bool_)
-    light = np.zeros(len(g))
-    for view in seen:
-        light[view.ids] += view.light
-    for _ in range(_STEPS):
-        cost = np.zeros(len(g))
-        excess = 0.0
-        for view in seen:
-            own = kept[view.ids]
-            share = float(budget.share(np.array(float(own.sum())), np.array(float(view.covered[own].sum()))))
-            if share > _ROOM:
-                excess = max(excess, 1.0 - _ROOM / share)
-                cost[view.ids[own]] += _cost_of(view.covered[own], budget)
-        if excess == 0.0:
-            break
-        worth = np.where(cost > 0.0, light / np.maximum(cost, 1e-30), np.inf)
-        order = np.argsort(worth, kind="stable")[: np.count_nonzero(cost)]
-        paid = np.cumsum(cost[order])
-        kept[order[: 1 + int(np.searchsorted(paid, 0.5 * excess * paid[-1]))]] = False
-    if not kept.any():
-        raise SceneError("budget: no Gaussian would be left; allow more splats or more fill")
-    return g[kept]
+
+    def __init__(self, g: Gaussians, views: Cameras, pictures: Pictures, budget: Budget, progress: Progress) -> None:
+        self.g = g
+        self.version = g
+        self.views = views
+        self.pictures = pictures
+        self.budget = budget
+        self.progress = progress
+        self._loads: list[Load] = []
+
+    def run(self) -> None:
+        """Leave out and train, round by round, until all views hold the budget."""
+        self._loads = look(self.g, self.views, self.progress)
+        if shares(self._loads, self.budget).max() <= _ROOM:
+            return
+        merged = self._try_merging()
+        most = float(shares(self._loads, self.budget).max())
+        falls = np.ceil(np.log(max(most / _ROOM, 1.0)) / np.log(_FALL))
+        rounds = int(np.clip(falls, 2 if merged else 1, _ROUNDS))
+        for k in range(rounds):
+            self._shed(most * min(1.0, _ROOM / most) ** ((k + 1) / rounds))
+            self._train(shapes=k + 1 < rounds)
+        self._shed(1.0)
+
+    def _try_merging(self) -> bool:
+        """Begin with merged Gaussians, if pictures of them are better than of those that stay when others go."""
+        heavy = self.views[np.argsort(-shares(self._loads, self.budget), kind="stable")[:_HEAVY]]
+        merged = self._merge(heavy)
+        rest = self.budget, _ROOM, self.pictures, self.progress
+        merged, loads = shed(merged, look(merged, self.views, self.progress), *rest)
+        left, _ = shed(self.g, self._loads, *rest)
+        some = self.pictures.views[::_EVERY]
+        if _likeness(self.g, merged, some).mean() <= _likeness(self.g, left, some).mean():
+            return False
+        self.version = merged
+        self._loads = loads
+        return True
+
+    def _merge(self, views: Cameras) -> Gaussians:
+        """Return merged Gaussians that hold the budget in views, or nearly."""
+        version = self.g
+        count = len(self.g)
+        for _ in range(_MERGES):
+            found = measure_fill(version, views, progress=self.progress)
+            most = float(self.budget.share(found.splats, found.mean).max())
+            if most <= 1.0:
+                break
+            count = max(1, int(0.99 * count * _ROOM / most))
+            version = merge_pairs(self.g, count)
+        return version
+
+    def tighten(self, others: Cameras, most: float) -> None:
+        """Leave out more until these views and all before take at most a share of the budget."""
+        self._loads = [*self._loads, *look(self.version, others, self.progress)]
+        self.views = _join(self.views, others)
+        self._shed(most)
+        self._train(shapes=False)
+
+    def _shed(self, most: float) -> None:
+        """Leave out until views take at most a share of the budget."""
+        self.version, self._loads = shed(self.version, self._loads, self.budget, most, self.pictures, self.progress)
+
+    def _train(self, *, shapes: bool) -> None:
+        """Train the version on pictures of the scene; its scales stay nearly as they are without `shapes`."""
+        from gsvis.train.images import render_views  # slow to import
+        from gsvis.train.trainer import TrainConfig, train
+
+        if self.budget.steps == 0:
+            return
+        config = TrainConfig(
+            iterations=self.budget.steps,
+            sh_degree=self.version.sh_degree,
+            sh_every=0,
+            scales_rate=2e-3 if shapes else 1e-6,
+            opacities_rate=2e-2 if shapes else 5e-3,
+            rates_end=1.0 if shapes else 0.1,
+            densify=None,
+            evaluate_every=0,
+            seed=self.budget.seed,
+        )
+        images = render_views(self.g, self.pictures.views, progress=self.progress)
+        self.version = train(images, self.version, config, progress=self.progress).gaussians
+        self._look_again()
+
+    def _look_again(self) -> None:
+        """Measure what the heaviest views have after training; the others are taken as they were."""
+        order = np.argsort(-shares(self._loads, self.budget), kind="stable")[:_HEAVY]
+        found = look(self.version, self.views[order], self.progress)
+        for c, load in zip(order.tolist(), found, strict=True):
+            self._loads[c] = load
 
 
-def _cost_of(covered: NDArray[np.float32], budget: Budget) -> F64:
-    """Return the share of the budget of a view that each splat takes: of the splats and of the fill."""
-    each = 1.0 / budget.splats if budget.splats else 0.0
-    return np.asarray(each + covered / budget.fill if budget.fill else np.full(len(covered), each), np.float64)
+def _join(first: Cameras, second: Cameras) -> Cameras:
+    """Return the cameras of both, of one size."""
+    poses = np.concatenate([first.viewmats, second.viewmats])
+    return Cameras(poses, np.concatenate([first.Ks, second.Ks]), first.width, first.height)
 
 
 def _cameras(g: Gaussians, space: NavigableSpace, budget: Budget, stream: int) -> Cameras:
-    """Return views as visitors have them, small, to compare pictures."""
-    return ViewSampling(2 * budget.eyes, 320, 240, 75.0, budget.seed, stream).cameras(g, space)
+    """Return views as visitors have them, small: to train on, and others to compare."""
+    count = 2 * budget.eyes if stream == _JUDGE else 6 * budget.eyes
+    return ViewSampling(count, 320, 240, 75.0, budget.seed, stream).cameras(g, space)
 
 
 def _eyes(g: Gaussians, space: NavigableSpace, budget: Budget, stream: int) -> F64:
