@@ -129,6 +129,7 @@ PAGES = {
         "Training and levels",
         ("train_photos", "train_resume", "levels_showroom", "levels_unseen", "levels_bonsai", "importance"),
     ),
+    "paper": Page("What each departure from the paper is worth", ("paper_pieces", "paper_pieces_nika")),
     "streaming": Page(
         "Streaming",
         (
