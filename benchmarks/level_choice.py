@@ -61,9 +61,9 @@ const { chooseLevels, loadOrder } = await import("CHOOSER");
 const meta = JSON.parse(readFileSync(folder + "lod-meta.json", "utf8"));
 const data = readFileSync(folder + meta.gsvis.files[0]);
 const scene = new NeededLeaves(folder, meta, data.buffer.slice(data.byteOffset, data.byteOffset + data.length));
-console.log(JSON.stringify(JSON.parse(text).map(([position, forward, splats]) => {
+console.log(JSON.stringify(JSON.parse(text).map(([position, forward, splats, quality]) => {
   const views = [{ position, forward }];
-  const options = { fill: splats !== null };
+  const options = { fill: splats !== null, quality: quality ?? Infinity };
   const { lods } = chooseLevels(scene, views, splats ?? Infinity, options);
   return { lods: [...lods], order: loadOrder(scene, views, lods, Infinity, options) };
 })));
@@ -196,14 +196,15 @@ def find_eyes(space: NavigableSpace, each: int) -> list[Eyes]:
     return [walked, Eyes("random", middles, turns[:, 2], [cameras[k] for k in range(count)])]
 
 
-def ask(folder: Path, eyes: Eyes, splats: Sequence[int | None]) -> list[dict[str, Any]]:
-    """Return what level-choice.js chooses at each eye within its number of splats."""
+def ask(folder: Path, eyes: Eyes, splats: Sequence[int | None], quality: float | None = None) -> list[dict[str, Any]]:
+    """Return what level-choice.js chooses at each eye within its number of splats, for a wanted PSNR."""
     engines = Path(__file__).resolve().parents[1] / "examples" / "engines"
     script = folder.with_name("choice.mjs")
     text = CHOICE.replace("LOADER", str(engines / "needed-leaves.js"))
     script.write_text(text.replace("CHOOSER", str(engines / "level-choice.js")))
-    asked = zip(eyes.positions.tolist(), eyes.forwards.tolist(), splats, strict=True)
-    command = ["node", script, f"{folder}/", json.dumps(list(asked))]
+    places = zip(eyes.positions.tolist(), eyes.forwards.tolist(), splats, strict=True)
+    asked = [[*place, quality] for place in places]
+    command = ["node", script, f"{folder}/", json.dumps(asked)]
     found = subprocess.run(command, capture_output=True, text=True, check=True)
     return json.loads(found.stdout)
 

@@ -200,6 +200,8 @@ PAGES = {
             "streamed_sog_nika",
             "level_choice",
             "level_choice_nika",
+            "level_errors",
+            "level_quality",
             "tiles",
             "tiles_valid",
         ),
