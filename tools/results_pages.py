@@ -183,7 +183,7 @@ PAGES = {
             "world_cluster",
         ),
     ),
-    "edit": Page("Editing scenes", ("cut", "cut_unseen", "from_outside", "budget", "budget_showroom", "clean")),
+    "edit": Page("Editing scenes", ("cut", "cut_unseen", "from_outside", "budget", "clean")),
     "viewer": Page(
         "The viewer",
         (

@@ -10,6 +10,8 @@ they see too much, more is left out.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,9 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.pairs import merge_pairs
+
+if TYPE_CHECKING:
+    from gsvis.train.images import PosedImages
 
 __all__ = ["Budget", "Budgeted", "fit_budget"]
 
@@ -204,8 +209,7 @@ class _Lightening:
 
     def _train(self, *, shapes: bool) -> None:
         """Train the version on pictures of the scene; its scales stay nearly as they are without `shapes`."""
-        from gsvis.train.images import render_views  # slow to import
-        from gsvis.train.trainer import TrainConfig, train
+        from gsvis.train.trainer import TrainConfig, train  # slow to import
 
         if self.budget.steps == 0:
             return
@@ -220,9 +224,15 @@ class _Lightening:
             evaluate_every=0,
             seed=self.budget.seed,
         )
-        images = render_views(self.g, self.pictures.views, progress=self.progress)
-        self.version = train(images, self.version, config, progress=self.progress).gaussians
+        self.version = train(self._images, self.version, config, progress=self.progress).gaussians
         self._look_again()
+
+    @cached_property
+    def _images(self) -> PosedImages:
+        """Pictures of the whole scene to train on."""
+        from gsvis.train.images import render_views  # slow to import
+
+        return render_views(self.g, self.pictures.views, progress=self.progress)
 
     def _look_again(self) -> None:
         """Measure what the heaviest views have after training; the others are taken as they were."""
