@@ -119,6 +119,14 @@ def main() -> None:
     parser.add_argument("--mbit", nargs="*", type=float, default=[1.0, 3.0], help="constant links")
     parser.add_argument("--seconds", type=float, default=15.0, help="of a session")
     options = parser.parse_args()
+    try:
+        measure_all(options)
+    except (GsvisError, ValueError, OSError) as error:
+        raise SystemExit(f"error: {error}") from None
+
+
+def measure_all(options: argparse.Namespace) -> None:
+    """Measure all systems, print the table and write the result."""
     scene = open_scene(options.scene, options.lod, options.walks, options.seconds)
     common = [word for each in options.prepare for word in ("--" + each).split("=")]
     with temporary_folder() as work:

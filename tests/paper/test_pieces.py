@@ -63,6 +63,13 @@ def test_rows_are_compared_with_the_first() -> None:
     assert reached == pytest.approx([2.0, 2.0, 2.0, 0.2, 2.0])
 
 
+def test_what_is_wrong_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    for words in (["--scene", "none.ply"], ["--scene", "builtin:nothing"], ["--walks", "none.csv"]):
+        monkeypatch.setattr("sys.argv", ["pieces.py", *words])
+        with pytest.raises(SystemExit, match=r"^error: [^\n]+$"):
+            pieces.main()
+
+
 def test_walks_that_are_drawn_are_upright_and_differ() -> None:
     one, other = (pieces.drawn_walk(seed, 5.0) for seed in (1, 2))
     assert one.upright[2] > 0.99
