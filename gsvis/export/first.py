@@ -19,7 +19,9 @@ from gsvis.export.pieces import PieceCoder
 from gsvis.export.placing import Placing
 from gsvis.export.rows import TermWorth
 from gsvis.export.start import Start
-from gsvis.scene.gaussians import Gaussians
+from gsvis.render import view_weights
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians, rotations_from_quats
 
 __all__ = ["FirstViews"]
 
@@ -27,11 +29,25 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 _VIEW = FieldOfView(1.15, 1.15, 0.64, 0.64, margin=0.14)  # 16 to 9, 65 degrees high
+_WIDTH = 640  # pixels of the picture that ranks Gaussians
 _ENOUGH = 0.999  # share of the light in view that a file brings
 _PIECE = (4096, 12288)  # bytes of the first piece, and of later ones
 # bytes, about
 _RECORD = 12.0
 _TERM = 4.0
+
+
+def _camera_of(start: Start) -> Cameras:
+    """Return a camera of a view that sees its margin too."""
+    right = np.tan(np.arctan(_VIEW.right) + _VIEW.margin)
+    bottom = np.tan(np.arctan(_VIEW.bottom) + _VIEW.margin)
+    height = round(_WIDTH * bottom / right)
+    focal = 0.5 * _WIDTH / right
+    Ks = np.array([[[focal, 0.0, 0.5 * _WIDTH], [0.0, 0.5 * height / bottom, 0.5 * height], [0.0, 0.0, 1.0]]])
+    viewmats = np.eye(4)[None].copy()
+    viewmats[0, :3, :3] = rotations_from_quats(np.array([start.rotation]))[0].T
+    viewmats[0, :3, 3] = -viewmats[0, :3, :3] @ np.array(start.position)
+    return Cameras(viewmats, Ks, _WIDTH, height)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,18 +72,23 @@ class FirstViews:
         """Return the file of a view, of about `most` bytes at most."""
         eye = np.array(start.position)
         light = self.lights.of_eye(eye)
-        planes = _VIEW.planes(eye, np.array(start.rotation))
-        reach = 3.0 * self.g.scales[light.ids].max(axis=1, initial=0.0)
-        depths = (self.g.means[light.ids].astype(np.float64) @ planes[:, :3].T + planes[:, 3]).min(axis=1, initial=1e30)
-        useful = (depths > -reach) & (self.placing.placed[light.ids] >= 0)
-        ids = self.placing.placed[light.ids[useful]]
-        lights = light.lights[useful]
+        ids, lights = self._in_view(start)
         order = np.argsort(-lights, kind="stable")
         share = np.cumsum(lights[order]) / max(lights.sum(), 1e-300)
         order = order[: int(np.searchsorted(share, _ENOUGH)) + 1]
         ids = ids[order]
         pieces = [self._left(light, ids)]
         return b"".join([*pieces, *self._pieces(ids, lights[order], *self._terms(eye, light, ids), most)])
+
+    def _in_view(self, start: Start) -> tuple[I64, F64]:
+        """Return the ids of the static form that a view shows, and the weight times solid angle of each, drawn exactly.
+
+        What the cell says of light holds for all of the cell, so it ranks a single view much worse.
+        """
+        camera = _camera_of(start)
+        weights = view_weights(self.g[self.placing.order], camera).summed[0].astype(np.float64)
+        ids = np.flatnonzero(weights > 0.0)
+        return ids, weights[ids] / float(camera.Ks[0, 0, 0] * camera.Ks[0, 1, 1])
 
     def _terms(self, eye: F64, light: CellLight, ids: I64) -> tuple[I64, F64]:
         """Return the terms (M,) of Gaussians `ids` that are of use to an eye, and the worth of a byte of each."""

@@ -25,6 +25,8 @@ from gsvis.export.start import Start, start_poses
 from gsvis.files.fields import parse_object
 from gsvis.package import ChunkTable, Package, RecordLayout, decode_records
 from gsvis.package.codec import unpack_bits
+from gsvis.render import view_weights
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
 from gsvis.scene.procedural import random_scene
 from gsvis.scene.sh import SH_C0
@@ -261,7 +263,10 @@ def test_the_file_of_a_first_view_has_most_of_its_light_without_any_other_file(
     package: Package, tmp_path: Path
 ) -> None:
     eye = package.visibility.grid.centers[3]
-    start = replace(Start.looking(eye, eye + np.array([0.3, 0.0, 1.0]), (0.0, -1.0, 0.0)), mode="orbit")
+    lights = Lights(package, package.contents.gaussians())
+    seen, light = lights.of_eye(eye)
+    brightest = package.contents.gaussians().means[seen[light.argmax()]]
+    start = replace(Start.looking(eye, brightest, (0.0, -1.0, 0.0)), mode="orbit")
     write_static(tmp_path / "out", package, StaticOptions(poses=(start,)))
     read = Reader(tmp_path / "out")
     of, counts = matched(read, package), package.contents.term_counts
@@ -283,13 +288,36 @@ def test_the_file_of_a_first_view_has_most_of_its_light_without_any_other_file(
     assert len(set(ids)) == len(ids) > 0
     assert len(set(terms)) == len(terms) > 0
     assert all(number < counts[of[owner]] for owner, number in terms)
-    lights = Lights(package, package.contents.gaussians())
-    seen, light = lights.of_eye(eye)
     here = np.isin(seen, of[ids])
     for share, piece in zip(left, read.pieces, strict=True):
         mine = np.isin(seen, of[piece["ids"]])
         wanted = light[mine & ~here].sum() / light[mine].sum() if mine.any() else 1.0
         assert abs(share - wanted) < 0.003
+
+
+def test_a_first_view_begins_with_what_its_picture_shows_most(package: Package, tmp_path: Path) -> None:
+    g = package.contents.gaussians()
+    highest = np.flatnonzero(package.contents.last == len(package.contents.names) - 1)
+    eye = package.visibility.grid.centers[3]
+    start = Start.looking(eye, g.means[highest].mean(axis=0), (0.0, -1.0, 0.0))
+    write_static(tmp_path / "out", package, StaticOptions(poses=(start,)))
+    read = Reader(tmp_path / "out")
+    of = matched(read, package)
+    (data,) = read.data["first"]
+    at = 4 + struct.unpack_from("<I", data)[0]
+    head, _, _, _, records, coded = struct.unpack_from("<6I", data, at)
+    first = of[read.piece(data[at : at + 24 + head + records + coded])["ids"]]
+    rest = np.setdiff1d(highest, first)
+    rotation = rotations_from_quats(np.array([start.rotation]))[0].T
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = rotation
+    viewmat[:3, 3] = -rotation @ eye
+    camera = Cameras(viewmat[None], [[[278.0, 0.0, 320.0], [0.0, 278.0, 180.0], [0.0, 0.0, 1.0]]], 640, 360)
+    weights = np.zeros(len(g))
+    weights[highest] = view_weights(g[highest], camera).summed[0]
+    assert len(rest) > 0
+    assert weights[first].sum() > 0
+    assert np.median(weights[first]) >= weights[rest].max()
 
 
 def test_parts_are_boxes_in_space_with_the_brightest_gaussians_first() -> None:
