@@ -33,11 +33,11 @@ from typing import Any
 
 import numpy as np
 from _harness import add_arguments, need, realdata, write_result
-from _leaves import facts_of, name_figures, walks
+from _leaves import COARSE, facts_of, name_figures, walks
 
 from gsvis.export.streamed import StreamedOptions, write_streamed_sog
 from gsvis.io import load_scene
-from gsvis.pvs import CellGrid, PvsConfig, VisibilityStore, build_pvs
+from gsvis.pvs import CellGrid, VisibilityStore, build_pvs
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -163,8 +163,7 @@ def write(work: Path, name: str, levels: Levels, space: NavigableSpace) -> tuple
     """Return the folder of the streamed SOG, and facts about it; build its visible sets if there are none."""
     path = work / f"{name}-levels.pvs"
     if not path.exists():
-        config = PvsConfig(method="raster", size=256, lower_size=128, probes=4, limit=0.01, tile_limit=0.5)
-        build_pvs(levels, CellGrid.over(space, max_cells=CELLS[name]), space, path, config).close()
+        build_pvs(levels, CellGrid.over(space, max_cells=CELLS[name]), space, path, COARSE).close()
     with VisibilityStore.open(path, scene=levels) as store:
         options = StreamedOptions(name=name)
         begin = time.perf_counter()

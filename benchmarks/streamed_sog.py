@@ -7,7 +7,8 @@ of a leaf, boxes shrunk by three quarters of what they have beyond the median bo
 the eye. A third order shows what the direction alone does: the engine's, with the loader's leaves ahead first. Splats
 drawn: the leaves of the eye's cell against all leaves.
 
-Given: showroom LOD 3 or nika LOD 0 with visible sets (built in --work, or found there), and two recorded walks
+Given: showroom LOD 3 or nika LOD 0 with visible sets (built in --work, or found there; coarse ones with --coarse), and
+    two recorded walks
     (EyeNavGS `room`, users 110 and 119), retargeted to each scene by a similarity; 10 eyes evenly spaced in time on
     each.
 Measured: bytes of the environment, the header, the sidecar (ours alone) and the first leaves that draw the eye's view
@@ -130,7 +131,7 @@ def read_leaves(folder: Path) -> tuple[Gaussians, np.ndarray, np.ndarray, np.nda
 def measure(name: str, work: Path, args: argparse.Namespace) -> dict[str, Any]:
     g, space = open_scene(name)
     out = work / f"{name}-streamed"
-    with visible_sets(work, name, g, space, args.cells) as store:
+    with visible_sets(work, name, g, space, args.cells, args.coarse) as store:
         options = StreamedOptions(leaf=args.leaf, name=name)
         report = write_streamed_sog(out, g, options, visibility=store, overwrite=True)
         inside = store.grid.cell_at

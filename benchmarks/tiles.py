@@ -73,7 +73,7 @@ class Tiles:
 def measure(name: str, work: Path, args: argparse.Namespace) -> dict[str, Any]:
     g, space = open_scene(name)
     up = tuple(space.up.tolist())
-    with visible_sets(work, name, g, space, args.cells) as store:
+    with visible_sets(work, name, g, space, args.cells, args.coarse) as store:
         options = TilesOptions(leaf=args.leaf, up=up)
         whole = write_tiles(work / f"{name}-tiles", g, options, overwrite=True)
         bounded = TilesOptions(leaf=args.leaf, up=up, request_volumes=True)
