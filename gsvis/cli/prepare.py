@@ -125,7 +125,7 @@ def check_arguments(command: Prepare) -> PrepareConfig:
 
     check_source(command.scene, command.lod)
     check_exists(command.training.photos)
-    check_tracer(command.sets.tracer)
+    check_tracer(command.sets.tracer, command.sets.certify)
     _check_training(command)
     if _steps(command):
         require("gsvis prepare --color-steps", "torch")

@@ -86,7 +86,7 @@ def _check_arguments(command: Pvs) -> PvsConfig:
     with naming(path="--out"):
         check_store_target(command.out)
     check_workers(command.work)
-    check_tracer(command.sets.tracer)
+    check_tracer(command.sets.tracer, command.sets.certify)
     config = config_of(PvsConfig, command.sets, size=command.sets.face_size, rays=command.sets.certify)
     check_sets(command.scene, command.lod, config, command.work.max_memory)
     return config

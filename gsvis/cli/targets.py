@@ -53,13 +53,13 @@ def check_new(path: str | os.PathLike[str], overwrite: bool) -> None:
         raise ValueError(f"{path}: expected a new file, got one that exists; name another, or say --overwrite")
 
 
-def check_tracer(name: str) -> None:
-    """Raise unless the tracer of --tracer is installed.
+def check_tracer(name: str, certify: int | None = None) -> None:
+    """Raise unless the tracer of --tracer is installed, or no rays of --certify need it.
 
     Raises:
         MissingExtraError: If it is not; with the remedy.
     """
-    if name == "embree":
+    if name == "embree" and certify != 0:
         require("--tracer embree", "open3d")
 
 

@@ -12,6 +12,8 @@ from gsvis.cli import parse
 from gsvis.cli.arguments import Command
 from gsvis.cli.options import command_line, command_name, leaves, values_of
 from gsvis.cli.paper import PIECES, SWITCH, expand, pieces_of
+from gsvis.cli.targets import check_tracer
+from gsvis.errors import MissingExtraError
 
 KINDS = {command_name(kind): kind for kind in get_args(Command)}
 WITH = sorted(name for name, kind in KINDS.items() if "as_in_paper" in {leaf.name for leaf in leaves(kind)})
@@ -86,3 +88,14 @@ def test_the_page_lists_every_piece_with_both_ways_and_its_commands() -> None:
         piece.option: (piece.paper, piece.ours, {name for name in WITH if piece.option in options_of(name)})
         for piece in PIECES
     }
+
+
+def test_without_open3d_only_what_traces_by_it_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The paper's package has no certificates, so its tracer has nothing to trace."""
+    monkeypatch.setattr("gsvis._extras.find_spec", lambda name: None)
+    check_tracer("hierarchy")
+    check_tracer("embree", certify=0)
+    with pytest.raises(MissingExtraError, match="open3d"):
+        check_tracer("embree", certify=256)
+    with pytest.raises(MissingExtraError, match="open3d"):
+        check_tracer("embree")
