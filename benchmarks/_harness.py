@@ -37,6 +37,9 @@ __all__ = [
     "write_result",
 ]
 
+NEVER = 1e9
+"""Seconds that stand for what did not happen."""
+
 SKIPPED = 77
 """Exit code of a benchmark that measured nothing, because something is missing."""
 
@@ -210,7 +213,10 @@ def write_result(
         met = None if target is None else bool(reached <= target if better == "lower" else reached >= target)
         checked.append({**figure, "reached": reached, "met": met})
         verdict = "" if target is None else f" (target {target:g}, {'met' if met else 'MISSED'})"
-        print(f"{figure['name']}: {reached:.4g} {figure['unit']}{verdict}")
+        said = f"{reached:.4g} {figure['unit']}"
+        if figure["unit"] == "s" and reached >= NEVER:
+            said = "never"
+        print(f"{figure['name']}: {said}{verdict}")
     result = {
         "format": "gsvis-benchmark",
         "version": 1,
