@@ -48,11 +48,9 @@ SCENES = {
     "relief": ("uncropped/relief.sog", None, "-y"),
     "showroom": ("showroom/lod-meta.json", 3, "+z"),
 }
-CHOSE = ("massa", "flowers", "nika")  # scenes that defaults were chosen on
 JUDGES = ViewSampling(16, 320, 240, 75.0, 99)
 STREAMS = 3, 7
 FOV = 77.3
-RULES = ("far", "near", "around")
 AROUND = 0.25, 1.5  # distance from what is looked at, over the radius of the middle of the scene
 CLOSE = 0.15  # of this radius: a ball around an eye that may hold
 FEW = 0.002  # at most this share of the Gaussians
@@ -75,30 +73,39 @@ def around(g: Gaussians, count: int, seed: int) -> Cameras:
             eyes.append(eye)
             targets.append(target)
     up = (0.3, -1.0, 0.2)  # along no axis, so that no view looks along it
-    shape = {"fov": JUDGES.fov, "width": JUDGES.width, "height": JUDGES.height}
-    return Cameras.look_at(np.array(eyes), np.array(targets), up=up, **shape)
+    return Cameras.look_at(
+        np.array(eyes), np.array(targets), up=up, fov=JUDGES.fov, width=JUDGES.width, height=JUDGES.height
+    )
 
 
-def judging_cameras(g: Gaussians, space: NavigableSpace) -> Cameras:
-    """Return 16 views of each rule, in their order; none around rooms, which are seen from within."""
+def judging_cameras(g: Gaussians, space: NavigableSpace) -> dict[str, Cameras]:
+    """Return up to 16 views of each rule; none around rooms, which are seen from within."""
     one, two = STREAMS
     far = replace(JUDGES, stream=one).cameras(g, space)
     near = find_judges(g, replace(JUDGES, stream=two), space.witnesses).cameras
-    all_of = [far, near]
-    if space.kind.kind != "rooms":
-        all_of.append(around(g, JUDGES.count, 5))
-    viewmats = np.concatenate([each.viewmats for each in all_of])
-    return Cameras(viewmats, np.concatenate([each.Ks for each in all_of]), JUDGES.width, JUDGES.height)
+    found = {"far": far, "near": near}
+    return found if space.kind.kind == "rooms" else found | {"around": around(g, JUDGES.count, 5)}
 
 
-def judged(g: Gaussians, cameras: Cameras, target: NDArray[np.float32]) -> dict[str, Any]:
+def judged(g: Gaussians, cameras: dict[str, Cameras], targets: dict[str, NDArray[np.float32]]) -> dict[str, Any]:
     """PSNR of all views and of those of each rule."""
-    each = np.minimum(np.asarray(psnr(rasterize(g, cameras).images.clip(0.0, 1.0), target)), 100.0)
-    parts = dict(zip(RULES, each.reshape(-1, JUDGES.count), strict=False))
-    found: dict[str, Any] = {"count": len(g), "mean": float(each.mean()), "worst": float(each.min())}
+    parts = {name: _psnr_of(g, each, targets[name]) for name, each in cameras.items()}
+    every = np.concatenate(list(parts.values()))
+    found: dict[str, Any] = {"count": len(g), "mean": float(every.mean()), "worst": float(every.min())}
     for name, values in parts.items():
         found |= {f"{name}_mean": float(values.mean()), f"{name}_worst": float(values.min())}
     return found
+
+
+def _psnr_of(g: Gaussians, cameras: Cameras, target: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return (C,) dB of views, at most 100."""
+    found: NDArray[np.float64] = np.minimum(np.asarray(psnr(_draw(g, cameras), target), np.float64), 100.0)
+    return found
+
+
+def _draw(g: Gaussians, cameras: Cameras) -> NDArray[np.float32]:
+    """Return (C, H, W, 3) images, clipped."""
+    return rasterize(g, cameras).images.clip(0.0, 1.0)
 
 
 def compare(name: str, arguments: argparse.Namespace) -> list[dict[str, Any]]:
@@ -108,7 +115,7 @@ def compare(name: str, arguments: argparse.Namespace) -> list[dict[str, Any]]:
     g = load_scene(path) if lod is None else load_scene(path, lod=lod)
     space = NavigableSpace.from_scene(g, up=up) if up else NavigableSpace.from_scene(g)
     cameras = judging_cameras(g, space)
-    target = rasterize(g, cameras).images.clip(0.0, 1.0)
+    target = {name: _draw(g, each) for name, each in cameras.items()}
     begun = time.process_time()
     views = draw_views(g, space, ViewSampling(arguments.views, 480, 360, FOV), 0)
     config = LevelsConfig(preview=0.0, iterations=arguments.steps, looks=arguments.looks)

@@ -167,12 +167,6 @@ USE = (
                 target="≤ 2 GB, 0.2 s",
             ),
             Row(
-                "How much faster are two Dask workers than one on two cores, and how many results differ?",
-                ("world_cluster: speed-up of 2 workers over 1", "world_cluster: results that differ"),
-                ours="{0:.2f} times, {1:.0f}",
-                target="≥ 1.7, 0",
-            ),
-            Row(
                 "How far apart are a dry run and its world, worst of held-out worlds: time, peak memory, bytes?",
                 (
                     "world_estimate: processor time, the larger over the smaller, worst of all",

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from gsvis.abr.index import extents
 from gsvis.package.package import Package
+from gsvis.render import view_weights
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.stream.source import class_weights
 
@@ -25,6 +27,10 @@ U8 = NDArray[np.uint8]
 SPHERE = 4.0 * np.pi
 """Largest solid angle."""
 
+_EYES = 4  # eyes in a cell around which pictures are drawn
+_REACH = 0.35  # sides of a cell from its center, at most, along each axis
+_SIZE = 96  # pixels along a side of the six pictures around an eye
+_STATED = 0.4  # weight of the light that classes tell, beside what is drawn
 _GOLDEN = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])  # steps of a low-discrepancy sequence
 
 
@@ -50,6 +56,7 @@ class Lights:
 
     def __init__(self, package: Package, g: Gaussians) -> None:
         self.grid = package.visibility.grid
+        self._g = g
         self._sets = package.visibility
         self._weights = class_weights(package.visibility)
         self._areas = areas_of(g)
@@ -74,6 +81,25 @@ class Lights:
         size = self.grid.cell_size
         eyes = self.grid.centers[cell] + size * self._apart[ids]
         return self._seen(ids, classes, eyes, size / 2.0)
+
+    def drawn_in(self, cell: int, shown: NDArray[np.bool_]) -> CellLight:
+        """Return what a cell sees, in part as pictures around a few eyes in the cell show it.
+
+        The weight classes of a cell are largest weights, so alone they count what hardly shows as if it were in view;
+        pictures alone would leave out what other eyes in the cell see.
+
+        Args:
+            cell: The cell.
+            shown: (N,) bool, the Gaussians of one level, which are drawn together.
+        """
+        ids, lights = self.of_cell(cell)
+        kept = np.flatnonzero(shown[ids])
+        spread = np.random.default_rng(cell).uniform(-_REACH, _REACH, (_EYES, 3))
+        eyes = self.grid.centers[cell] + self.grid.cell_size * spread
+        faces = view_weights(self._g[ids[kept]], Cameras.cubemap(eyes, _SIZE)).summed
+        found = _STATED * lights
+        found[kept] += faces.sum(axis=0, dtype=np.float64) * 4.0 / (_SIZE * _SIZE * _EYES)
+        return CellLight(ids, found)
 
     def of_eye(self, eye: F64) -> CellLight:
         """Return what the cell of an eye sees, from this eye."""

@@ -78,7 +78,7 @@ def rows_of_package(lights: Lights, worth: TermWorth | None, part_of: I64, progr
     rows = []
     progress("sets", 0, len(lights))
     for cell in range(len(lights)):
-        light = lights.of_cell(cell)
+        light = lights.drawn_in(cell, part_of >= 0)
         gains = gains_of_parts(light, part_of, count)
         seen = gains > 0
         terms = b"" if worth is None else worth.of_parts(cell, light, part_of, count)[seen].tobytes()

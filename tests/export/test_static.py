@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gsvis.color.activation import contributions
 from gsvis.color.storage import grids_of
 from gsvis.errors import FormatError
 from gsvis.export import StaticOptions, write_static
@@ -229,34 +230,42 @@ def test_the_sphere_of_a_part_is_where_its_light_is(package: Package, tmp_path: 
 
 
 def test_a_cell_says_what_each_part_and_its_terms_are_worth(package: Package, tmp_path: Path) -> None:
-    from gsvis.abr.index import extents
-    from gsvis.color.activation import contributions
-    from gsvis.stream.source import class_weights
-
     write_static(tmp_path / "out", package)
     read, g, sets = Reader(tmp_path / "out"), package.contents.gaussians(), package.visibility
     of, contents, active = matched(read, package), package.contents, package.active_terms
-    areas, owners = extents(g)[1].astype(float), np.repeat(np.arange(len(g)), contents.term_counts)
-    side = sets.grid.cell_size
+    owners = np.repeat(np.arange(len(g)), contents.term_counts)
+    lights = Lights(package, g)
+    highest = contents.last == len(contents.names) - 1
     for cell, (gains, worth) in enumerate(read.cells()):
-        ids, classes = sets.classes(cell)
-        nearest = np.linalg.norm(np.maximum(np.abs(g.means - sets.grid.centers[cell]) - side / 2, 0), axis=1)
-        farthest = np.linalg.norm(np.abs(g.means - sets.grid.centers[cell]) + side / 2, axis=1)
-        weights = np.zeros(len(g))
-        weights[ids] = class_weights(sets)[classes]
-        most = weights * np.minimum(areas / np.maximum(nearest, side / 2) ** 2, 4 * np.pi)
-        least = weights * np.minimum(areas / np.maximum(farthest, side / 2) ** 2, 4 * np.pi)
+        light = np.zeros(len(g))
+        ids, values = lights.drawn_in(cell, highest)
+        light[ids] = values
         changes = contributions(contents.colors().dequantize(), g.means, sets.grid.centers[cell])
         squares = np.zeros(len(owners))
         some = active.active_ids(cell)
         squares[some] = np.maximum(changes[some], active.epsilon) ** 2
+        assert worth is not None
         for k, piece in enumerate(read.pieces):
             members = of[piece["ids"]]
-            total = gains[k]
-            assert least[members].sum() * 0.9 <= total <= most[members].sum() * 1.1
             mine = np.isin(owners, members)
-            assert worth is not None
-            assert squares[mine] @ least[owners[mine]] * 0.7 <= worth[k] <= squares[mine] @ most[owners[mine]] * 1.42
+            assert gains[k] == pytest.approx(light[members].sum(), rel=0.1)
+            wanted = squares[mine] @ light[owners[mine]]
+            assert 0.7 * wanted <= worth[k] <= 1.42 * wanted
+
+
+def test_pictures_in_a_cell_add_to_what_its_classes_tell(package: Package) -> None:
+    contents = package.contents
+    highest = contents.last == len(contents.names) - 1
+    lights = Lights(package, contents.gaussians())
+    for cell in range(len(lights)):
+        ids, stated = lights.of_cell(cell)
+        _, drawn = lights.drawn_in(cell, highest)
+        _, without = lights.drawn_in(cell, np.zeros(len(highest), np.bool_))
+        assert np.array_equal(drawn[~highest[ids]], without[~highest[ids]])  # other levels are not drawn
+        added = drawn - without
+        assert (added >= 0.0).all()
+        assert 0.0 < added.sum() <= 24.0  # six faces of four, were every pixel opaque
+        assert np.allclose(without / without.sum(), stated / stated.sum())
 
 
 def test_the_file_of_a_first_view_has_most_of_its_light_without_any_other_file(
