@@ -36,10 +36,15 @@ def test_a_dry_run_in_doubt_shows_both_readings(tmp_path: Path, capsys: Capture)
 
 
 def test_without_doubt_there_is_a_picture_where_it_is_asked_for(tmp_path: Path, capsys: Capture) -> None:
+    scene = tmp_path / "in" / "rooms.ply"
+    scene.parent.mkdir()
+    save_scene(two_rooms(1500, sh_degree=0).gaussians, scene)
     shown = tmp_path / "rooms.png"
     words = [
         "pvs",
-        "builtin:two_rooms",
+        str(scene),
+        "--up",
+        "+z",
         "-o",
         str(tmp_path / "s.pvs"),
         "--face-size",
@@ -51,10 +56,10 @@ def test_without_doubt_there_is_a_picture_where_it_is_asked_for(tmp_path: Path, 
     ]
     assert main([*words, "--show", str(shown)]) == 0
     assert any(str(shown) in each for each in json.loads(capsys.readouterr().out)["remarks"])
-    assert [path.name for path in tmp_path.iterdir()] == ["rooms.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in", "rooms.png"]
     assert main([*words, "--show", str(shown)]) == 0  # a picture of gsvis is replaced
     assert main(words) == 0
-    assert [path.name for path in tmp_path.iterdir()] == ["rooms.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in", "rooms.png"]
 
 
 def test_a_report_holds_the_picture(tmp_path: Path) -> None:
