@@ -193,6 +193,7 @@ PAGES = {
             "viewer_draw",
             "splat_budget",
             "static_seconds",
+            "static_seconds_quiet",
             "walls",
             "first_views",
             "static_site",

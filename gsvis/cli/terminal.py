@@ -56,7 +56,7 @@ _SAID = {
     "cells": "finding and certifying sets",
     "check": "tracing some rays a second time",
     "store": "writing the store",
-    "join": "joining cells",
+    "join": "packing visible sets",
     "trying": "trying a few cells",
     "trying tiles": "trying a few tiles",
     "quality": "measuring the sets",
