@@ -41,7 +41,7 @@ _clock = time.perf_counter  # tests set another
 
 _CODED = 1 << 15  # Gaussians that are coded for the size of records
 _PACKED_TERM = 0.78  # size of coded terms over their raw size
-_SHARED_CLASSES = 0.65  # of the bytes of sets without directions, when cells share classes
+_SHARED_CLASSES = 0.77  # of the bytes of sets without directions, when cells share classes
 _SHARED_DIRECTIONS = 0.25  # bytes a Gaussian of direction sets that neighbors share: 0.1 to 0.3 in six scenes
 _FILES = 10_000  # bytes of a package besides records, terms and sets
 _STAIRCASE = 15.0  # time of the staircase over that of the views that measure the cost of rounding

@@ -62,7 +62,7 @@ __all__ = ["VERSIONS", "StageColors", "StageRecord", "Stages", "around_of"]
 VERSIONS = {
     "levels": 7,
     "sets": 3,
-    "joined": 2,
+    "joined": 3,
     "colors": 2,
     "epsilon": 1,
     "cost": 2,

@@ -48,7 +48,7 @@ MOST_SHARE = 0.25
 DIRECTIONS_RUN = 16
 """Neighbors that share a direction set in a package."""
 
-CLASSES_SIDE = 3
+CLASSES_SIDE = 2
 """Cells along the side of the cubes that share weight classes in a package; cells of the grid as it was built."""
 
 WALK_CELLS = 10
