@@ -204,7 +204,7 @@ def draw_sessions(study: Study) -> Drawn:
 
 def draw_walk(study: Study) -> Drawn:
     """Figure 13: what a walk needs of the Gaussians and of the SRBFs."""
-    walked = study.walked
+    walked = study.walk_terms
     figure, axes = one_panel("seconds of walking", "share needed so far")
     axes.plot(walked.times, walked.gaussians, color=LIGHT.gathered, linewidth=2.2, label="Gaussians")
     axes.plot(walked.times, walked.terms, color=LIGHT.traced, linewidth=2.2, label="SRBFs")

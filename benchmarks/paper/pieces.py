@@ -34,6 +34,7 @@ from _harness import add_arguments, write_result
 from gsvis.abr import AbrConfig, BandwidthTrace
 from gsvis.abr.qoe import paired_difference
 from gsvis.cli import parse
+from gsvis.cli.arguments import Prepare, Serve
 from gsvis.cli.options import leaves
 from gsvis.cli.paper import Piece, pieces_of
 from gsvis.cli.prepare import check_arguments
@@ -197,7 +198,9 @@ def config_of(options: argparse.Namespace, common: list[str], system: System) ->
     """Return the settings that the command line of a system gives."""
     lod = [] if options.lod is None else ["--lod", str(options.lod)]
     words = ["prepare", options.scene, "-o", "out.gsvis", *lod, *common, *system.prepare]
-    return check_arguments(parse(words))  # type: ignore[arg-type]
+    command = parse(words)
+    assert isinstance(command, Prepare)
+    return check_arguments(command)
 
 
 def warm(config: PrepareConfig) -> None:
@@ -273,7 +276,9 @@ def level_psnr(package: Package, scene: Scene) -> dict[str, float]:
 
 def sessions(scene: Scene, package: Package, system: System, options: argparse.Namespace) -> list[dict[str, Any]]:
     """Return the figures of a session for each walk and link."""
-    sending = parse(["serve", "a", *system.serve]).sending  # type: ignore[union-attr]
+    command = parse(["serve", "a", *system.serve])
+    assert isinstance(command, Serve)
+    sending = command.sending
     streamed = StreamedScene.open(package).sending(sending.terms)
     stage = Stage(streamed.contents, scene.gaussians)
     config = ViewingConfig(seconds=options.seconds, every=1.0, fine=2.0)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gsvis.abr import AbrConfig, BandwidthTrace
 from gsvis.cli import parse
+from gsvis.cli.arguments import Prepare
 from gsvis.cli.prepare import check_arguments
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.fit import FitConfig, fit_srbf
@@ -83,7 +84,9 @@ class Study:
     @cached_property
     def package(self) -> Package:
         """The scene as a package in our way; open until the process ends."""
-        config = check_arguments(parse(self._words))  # type: ignore[arg-type]
+        command = parse(self._words)
+        assert isinstance(command, Prepare)
+        config = check_arguments(command)
         out = self.work / "scene.gsvis"
         prepare_package(self.scene.gaussians, out, self.scene.space, config)
         return Package.open(out)
@@ -154,7 +157,7 @@ class Study:
         return clipped(rasterize(self.scene.gaussians, camera, colors=colors).images[0])
 
     @cached_property
-    def walked(self) -> WalkTerms:
+    def walk_terms(self) -> WalkTerms:
         """The curves of figure 13, on the first walk."""
         g, held = self.level(-1)
         colors = self.package.contents.colors().dequantize()[held]

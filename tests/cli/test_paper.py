@@ -69,8 +69,8 @@ def test_what_is_ours_is_the_default() -> None:
         found = {leaf.option: leaf for leaf in leaves(KINDS[name])}
         for piece in pieces_of(list(found)):
             leaf = found[piece.option]
-            told = [str(extra.help_behavior_hint) for extra in leaf.extras if getattr(extra, "help_behavior_hint", "")]
-            default = str(leaf.default) if leaf.default is not None else told[-1]
+            hints = [str(extra.help_behavior_hint) for extra in leaf.extras if getattr(extra, "help_behavior_hint", "")]
+            default = str(leaf.default) if leaf.default is not None else hints[-1]
             assert piece.ours in default or "auto" in default, (name, piece.option, default)
 
 

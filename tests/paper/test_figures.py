@@ -41,10 +41,10 @@ def test_the_figure_of_directions_states_the_papers_points() -> None:
 
 def test_the_figure_of_a_walk_draws_both_curves() -> None:
     times = np.arange(3.0)
-    walked = SimpleNamespace(
+    walk_terms = SimpleNamespace(
         times=times, gaussians=times / 2.0, terms=times / 4.0, epsilon=0.02,
     )  # fmt: skip
-    image, caption = figures.draw_walk(SimpleNamespace(walked=walked))
+    image, caption = figures.draw_walk(SimpleNamespace(walk_terms=walk_terms))
     assert min(size_of(image)) > 300
     assert "100.0% of the Gaussians and 50.0% of the SRBFs (0.0% at the start)" in caption
 

@@ -84,13 +84,13 @@ def test_cubes_of_cells_share_the_mean_of_their_classes(tmp_path: Path, side: in
             assert np.array_equal(shared.viewpoints, own.viewpoints)
             cubes = [tuple(row) for row in (own.grid.coords // side).tolist()]
             for cell, cube in enumerate(cubes):
-                told: dict[int, list[int]] = {}
+                given: dict[int, list[int]] = {}
                 for other in (k for k, each in enumerate(cubes) if each == cube):
                     for gaussian, number in zip(*own.classes(other), strict=True):
-                        told.setdefault(int(gaussian), []).append(int(number))
+                        given.setdefault(int(gaussian), []).append(int(number))
                 ids, classes = shared.classes(cell)
                 assert np.array_equal(ids, own.visible_ids(cell))
-                assert classes.tolist() == [int(np.mean(told[int(i)]) + 0.5) for i in ids]
+                assert classes.tolist() == [int(np.mean(given[int(i)]) + 0.5) for i in ids]
 
 
 def test_cells_are_joined_until_sets_are_a_fifth_and_no_longer(tmp_path: Path) -> None:

@@ -3,30 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.viewer.browser import page_in, running
-from tests.viewer.page_server import AXE, HOSTILE, OUTSIDE, VIEWER, build_page, serve_page
+from tests.viewer.browser import page_in
+from tests.viewer.page_server import AXE, HOSTILE, OUTSIDE, VIEWER
 
 pytestmark = pytest.mark.slow
+CHROMIUM = ("--disable-gpu",)  # nothing here draws with WebGL, and software in its place costs most of a test
 FIRST = ["View 1", "Window", HOSTILE]
 ROOM = "/view/show%20room?settings=settings.json&author"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with running(("--disable-gpu",)) as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with serve_page(build_page(tmp_path_factory.mktemp("page"))) as url:
-        yield url
 
 
 def names(page: Any) -> list[str]:

@@ -12,31 +12,17 @@ from typing import Any
 import pytest
 
 from tests.serve.servers import PATIENCE
-from tests.viewer.browser import running
 from tests.viewer.gestures import drag, eye, hold, mode, motion, motion_of_tour, rest
-from tests.viewer.page_server import AXE, HOSTILE, OUTSIDE, VIEWER, build_page, serve_page
+from tests.viewer.page_server import AXE, HOSTILE, OUTSIDE, VIEWER
 
 pytestmark = pytest.mark.slow
+CHROMIUM = ("--disable-gpu",)  # nothing here draws with WebGL, and software in its place costs most of a test
 SIZES = {"wide": (1280, 800), "tablet": (768, 1024), "phone": (375, 667)}
 WAIT = 1000 * PATIENCE  # milliseconds; a guard against hanging
 ROOM = "/view/show%20room"
 Open = Callable[..., Any]
 READY = """() => document.documentElement.dataset.state === 'streaming' && location.hash.length > 1
     && fake.camera.position.some((x) => x !== 0)"""  # an address may come with its hash: the view is set a frame later
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Chromium without a GPU: nothing here draws with WebGL, and software in its place costs most of a test."""
-    with running(("--disable-gpu",)) as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Address of a server with the page."""
-    with serve_page(build_page(tmp_path_factory.mktemp("page"))) as url:
-        yield url
 
 
 @pytest.fixture

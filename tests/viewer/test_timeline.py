@@ -9,24 +9,13 @@ from typing import Any
 
 import pytest
 
-from tests.viewer.browser import page_in, running
+from tests.viewer.browser import page_in
 from tests.viewer.gestures import eye, motion_of_tour
-from tests.viewer.page_server import TOUR, build_page, serve_page
+from tests.viewer.page_server import TOUR
 
 pytestmark = pytest.mark.slow
+CHROMIUM = ("--disable-gpu",)  # nothing here draws with WebGL, and software in its place costs most of a test
 Open = Callable[..., Any]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with running(("--disable-gpu",)) as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with serve_page(build_page(tmp_path_factory.mktemp("page"))) as url:
-        yield url
 
 
 @pytest.fixture

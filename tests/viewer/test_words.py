@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,28 +11,18 @@ import pytest
 from gsvis.export import PageOptions, write_html
 from gsvis.export.publish import LANGUAGES
 from gsvis.scene.procedural import two_rooms
-from tests.viewer.browser import page_in, running
-from tests.viewer.page_server import AXE, VIEWER, build_page, serve_page
+from tests.viewer.browser import page_in
+from tests.viewer.page_server import AXE, VIEWER
 
 pytestmark = pytest.mark.slow
+CHROMIUM = ("--disable-gpu",)  # nothing here draws with WebGL, and software in its place costs most of a test
 WORDS = VIEWER / "src" / "page" / "words"
 ROOM = "/view/show%20room?settings=spots.json"
+STREAMS = "() => document.documentElement.dataset.state === 'streaming' && location.hash.length > 1"
 SAID = """() => [...document.querySelectorAll("*:not(script, style)")].flatMap((each) => [
     ...[...each.childNodes].filter((node) => node.nodeType === 3).map((node) => node.data.trim()),
     ...["aria-label", "title", "aria-valuetext"].map((name) => each.getAttribute(name)?.replace(/ \\(.\\)$/, "")),
 ]).filter(Boolean)"""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with running(("--disable-gpu",)) as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with serve_page(build_page(tmp_path_factory.mktemp("page"))) as url:
-        yield url
 
 
 def forms(language: str) -> dict[str, list[str]]:
@@ -59,6 +48,7 @@ def test_a_page_in_german_has_no_english_and_nothing_for_axe(browser: Any, addre
     with page_in(browser, address + ROOM, locale="de-AT", bypass_csp=True) as (page, said):
         page.get_by_role("button", name="Hilfe").wait_for()
         assert page.evaluate("document.documentElement.lang") == "de"
+        page.wait_for_function(STREAMS)
         page.evaluate(axe.read_text())
         page.evaluate("fake.become({kind: 'complete'}, 1)")
         for key in "ot?":
@@ -69,8 +59,8 @@ def test_a_page_in_german_has_no_english_and_nothing_for_axe(browser: Any, addre
         page.locator("main > canvas").first.focus()
         page.keyboard.press("Enter")
         page.get_by_text("Er ist hier, weil 18 von 23 Zellen ihn sehen.").wait_for()
-        assert page.get_by_text("781 k Gaussians").count() > 0
-        assert page.get_by_text("62\u00a0%").count() > 0
+        page.get_by_text("781 k Gaussians").first.wait_for(state="attached")
+        page.get_by_text("62\u00a0%").first.wait_for(state="attached")
         assert set(page.evaluate(SAID)) & english_alone() == set()
         assert said == []
 
