@@ -130,6 +130,7 @@ PAGES = {
         ("train_photos", "train_resume", "levels_showroom", "levels_unseen", "levels_bonsai", "importance"),
     ),
     "paper": Page("What each departure from the paper is worth", ("paper_pieces", "paper_pieces_nika")),
+    "arena": Page("Systems that are trained on the same photographs", ("arena",)),
     "streaming": Page(
         "Streaming",
         (
