@@ -217,6 +217,9 @@ class Fit:
     """Most terms of each function of a Gaussian; 0 leaves base colors alone."""
     mean_terms: Annotated[float | None, readers.MEAN_TERMS, hint("3")] = None
     """Terms a Gaussian on average; they go where they lower errors most. all: all that help (slow)."""
+    width_price: Annotated[float | None, readers.WIDTH_PRICE, hint("3")] = None
+    """What a term costs more if it is active for all eyes, over what it costs by itself: terms are narrower, and an eye
+    needs fewer of them. 0: width costs nothing (the paper's way)."""
 
 
 @dataclass(frozen=True, kw_only=True)

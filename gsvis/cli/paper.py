@@ -45,6 +45,7 @@ PIECES = (
     Piece("--directions", "faces", "weighed", "3.1"),
     Piece("--variant", "hsl", "rgb", "5.1"),
     Piece("--fit", "omp", "lobes", "5.2"),
+    Piece("--width-price", "0", "3", ""),
     Piece("--color-steps", "0", "300", "7.1.1"),
     Piece("--epsilon", "auto", "0.02", "6.2"),
     Piece("--cell-terms", "stored", "computed", "6.2"),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gsvis.color._kernels import fit as kernels
 from gsvis.color._split import Function, Split, split_colors
-from gsvis.color.omp import orthogonal_matching_pursuit
+from gsvis.color.omp import SparseCodes, orthogonal_matching_pursuit
 from gsvis.color.variants import VARIANTS
 from gsvis.scene.icosphere import face_directions, icosphere
 
@@ -36,12 +36,15 @@ class LobeFit:
         intensities: (n, K, C) in the units of the targets.
         counts: (n,) number of lobes worth their price.
         curves: (n, K + 1) weighted mean squared RGB error with 0, 1, ... lobes.
+        wide: (n, K + 1) sum of their widths: the weighted share of directions along which a lobe changes a channel by
+            more than epsilon.
     """
 
     v: F32
     intensities: F32
     counts: NDArray[np.int64]
     curves: F32
+    wide: F32
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +63,13 @@ class SplitFit:
     split: Split
     lobes: tuple[LobeFit, ...]
 
-    @property
-    def curves(self) -> list[F32]:
-        """Error curves of the functions."""
-        return [lobe.curves for lobe in self.lobes]
+    def costs(self, importance: F64, width_price: float) -> list[tuple[F64, F64]]:
+        """Return, for each function, (n, K + 1) importance times error and number of prices, with 0, 1, ... lobes."""
+        terms = np.arange(self.lobes[0].curves.shape[1])
+        return [
+            (importance[:, None] * lobe.curves.astype(np.float64), terms + width_price * lobe.wide.astype(np.float64))
+            for lobe in self.lobes
+        ]
 
 
 class Pursuit:
@@ -77,7 +83,7 @@ class Pursuit:
         self.config = config
         self.kind = VARIANTS[config.variant]
         centers = icosphere(1 if config.refine else 2)[0]
-        decays = np.asarray(config.decays, np.float64)
+        decays = np.asarray(config.atom_decays, np.float64)
         self.starts = (decays[:, None, None] * centers).reshape(-1, 3)
         towards_gaussian = -face_directions(4).reshape(-1, 3)
         exponents = self.starts @ towards_gaussian.T - np.repeat(decays, len(centers))[:, None]
@@ -90,6 +96,8 @@ class Pursuit:
             config.tolerance,
             float(config.steps),
             config.emphasis,
+            config.width_price,
+            config.epsilon,
         )
 
     def fit(self, colors: F32, weights: F32, importance: F64, price: float, nowhere: NDArray[np.bool_]) -> SplitFit:
@@ -117,6 +125,7 @@ class Pursuit:
             np.zeros((n, k, channels), np.float32),
             np.zeros(n, np.int64),
             np.zeros((n, k + 1), np.float32),
+            np.zeros((n, k + 1), np.float32),
         )
         kernels.fit_lobes(
             self.directions,
@@ -132,6 +141,7 @@ class Pursuit:
             found.intensities,
             found.counts,
             found.curves,
+            found.wide,
         )
         return found
 
@@ -149,7 +159,9 @@ class Pursuit:
         n = len(most)
         k = self.config.max_terms
         curves = np.pad(curves, ((0, 0), (0, k + 1 - curves.shape[1])), mode="edge")
-        costs = importance[:, None] * curves.astype(np.float64) + price * np.arange(k + 1)
+        wide = self._widths(function, codes)
+        costs = importance[:, None] * curves.astype(np.float64)
+        costs += price * (np.arange(k + 1) + self.config.width_price * wide)
         counts = np.minimum(costs.argmin(axis=1), codes.counts)
         v = np.zeros((n, k, 3), np.float32)
         v[:, : codes.atoms.shape[1]] = self.starts[codes.atoms]
@@ -164,4 +176,16 @@ class Pursuit:
             intensities,
             np.empty(n, np.float32),
         )
-        return LobeFit(v, intensities, counts, curves)
+        return LobeFit(v, intensities, counts, curves, wide)
+
+    def _widths(self, function: Function, codes: SparseCodes) -> F32:
+        """Return (n, K + 1) sums of the widths of 0, 1, ... atoms, in the order of choice."""
+        n, most = codes.atoms.shape
+        wide = np.zeros((n, self.config.max_terms + 1), np.float32)
+        total = np.maximum(function.weights.sum(axis=1), np.float32(1e-30))
+        for k in range(most):
+            sizes = np.abs(codes.coefficients[:, k]).max(axis=1) / np.float32(self.config.epsilon)
+            changed = sizes[:, None] * self.dictionary[codes.atoms[:, k]] > 1.0
+            wide[:, k + 1] = wide[:, k] + (function.weights * changed).sum(axis=1) / total
+        wide[:, most + 1 :] = wide[:, most : most + 1]
+        return wide

@@ -48,11 +48,16 @@ class FitConfig:
             lower the error (times importance) most. None gives every Gaussian all the terms that lower its error.
         refine: Move centers, widths and intensities continuously after each choice. Without it, terms stay on the
             atoms that orthogonal matching pursuit chooses.
-        decays: Decays of the atoms. Centers are the 42 vertices of the once-subdivided icosahedron if `refine`,
-            else the 162 of the twice-subdivided one.
+        decays: Decays of the atoms; None means 4 and 12 for lobes that are refined as `rgb`, because narrow lobes stay
+            narrow, else 1.5 and 6.
+            Centers are the 42 vertices of the once-subdivided icosahedron if `refine`, else the 162 of the
+            twice-subdivided one.
         ridge: Added to the squared norm of each lobe, relative to the weights: keeps intensities small.
         emphasis: Initial weight of the error after fewer terms in a fit of more: makes terms useful one by one. It
             rises for a Gaussian whose error would otherwise rise along its terms.
+        width_price: What a term costs more if it is active along all directions of its Gaussian, over what it costs
+            by itself; in between in proportion. Lobes are then narrower, and wide ones fewer. 0 asks nothing for width.
+        epsilon: Change of a channel from which a term is active, for `width_price`, > 0.
         steps: Maximum number of refinement steps after each choice.
         tolerance: Relative gain of a step below which refinement stops.
 
@@ -64,9 +69,11 @@ class FitConfig:
     max_terms: int = 24
     mean_terms: float | None = 3.0
     refine: bool = True
-    decays: tuple[float, ...] = (1.5, 6.0)
+    decays: tuple[float, ...] | None = None
     ridge: float = 1e-5
     emphasis: float = 0.01
+    width_price: float = 3.0
+    epsilon: float = 0.02
     steps: int = 8
     tolerance: float = 0.01
 
@@ -77,14 +84,23 @@ class FitConfig:
         if self.mean_terms is not None and not (np.isfinite(self.mean_terms) and self.mean_terms >= 0):
             raise ValueError(f"mean_terms: expected a finite number >= 0 or None, got {self.mean_terms!r}")
         _check.positive_int("steps", self.steps, at_least=0)
-        decays = _check.floats("decays", self.decays, ("A",), np.float64)
+        decays = _check.floats("decays", self.atom_decays, ("A",), np.float64)
         _check.in_range("decays", decays, 0.0, MAX_DECAY, open_low=True)
         if len(decays) == 0:
             raise ValueError("decays: expected at least one, got none")
-        for name in ("ridge", "emphasis", "tolerance"):
+        if not 0.0 < self.epsilon <= 1.0:
+            raise ValueError(f"epsilon: expected a change of color in (0, 1], got {self.epsilon!r}")
+        for name in ("ridge", "emphasis", "tolerance", "width_price"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise ValueError(f"{name}: expected a finite number >= 0, got {value!r}")
+
+    @property
+    def atom_decays(self) -> tuple[float, ...]:
+        """Decays of the atoms."""
+        if self.decays is not None:
+            return self.decays
+        return (4.0, 12.0) if self.refine and self.variant == "rgb" else (1.5, 6.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,44 +224,46 @@ def _price(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, mean_ter
 
     Uses the error curves of a sample: every k-th Gaussian by importance, because few Gaussians hold most of it. A first
     price is found with few terms per Gaussian. More terms can only raise the price, so longer curves are fitted only
-    for Gaussians that can pay the first price.
+    for Gaussians that can pay the first price. Where width has a price, lobes depend on it, so they are fitted again.
     """
     order = np.argsort(importance, kind="stable")
     ids = np.sort(order[np.linspace(0, len(g) - 1, min(len(g), _SAMPLE)).astype(np.int64)])
     few = max(4, int(np.ceil(2 * mean_terms)))
     stages = [few, pursuit.config.max_terms] if few < pursuit.config.max_terms else [pursuit.config.max_terms]
+    if pursuit.config.width_price > 0.0 and pursuit.config.refine:
+        stages.append(pursuit.config.max_terms)
     price = 0.0
     done = 0
     total = len(ids) * len(stages)
     progress("price", 0, total)
     for most in stages:
         limited = Pursuit(replace(pursuit.config, max_terms=most))
-        costs: list[F64] = []
+        costs: list[tuple[F64, F64]] = []
         for start in range(0, len(ids), _CHUNK):
             chosen = ids[start : start + _CHUNK]
             fitted = _fit(limited, g[chosen], faces[chosen], importance[chosen], price)
-            costs.extend(importance[chosen][:, None] * curve.astype(np.float64) for curve in fitted.curves)
+            costs.extend(fitted.costs(importance[chosen], pursuit.config.width_price))
             done += len(chosen)
             progress("price", done, total)
         price = _least_price(costs, mean_terms, len(ids))
     return price
 
 
-def _least_price(costs: list[F64], mean_terms: float, count: int) -> float:
+def _least_price(costs: list[tuple[F64, F64]], mean_terms: float, count: int) -> float:
     """Return the least price at which `count` Gaussians have at most `mean_terms` on average, by bisection.
 
     Args:
-        costs: For each part of the Gaussians and each function, (n, K + 1) importance times error with 0, 1, ... terms.
+        costs: For each part of the Gaussians and each function, (n, K + 1) importance times error, and number of
+            prices, with 0, 1, ... terms.
         mean_terms: Number of terms, on average.
         count: Number of Gaussians.
     """
-    terms = np.arange(costs[0].shape[1])
 
     def mean(price: float) -> float:
         """Return the mean number of terms at a price."""
-        return sum([float((cost + price * terms).argmin(axis=1).sum()) for cost in costs]) / count
+        return sum([float((cost + price * prices).argmin(axis=1).sum()) for cost, prices in costs]) / count
 
-    high = max(float(cost[:, 0].max()) for cost in costs)
+    high = max(float(cost[:, 0].max()) for cost, _ in costs)
     low = high * 1e-15
     if high <= 0.0 or mean(low) <= mean_terms:
         return low

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsvis.color import VARIANTS, FitConfig, SrbfFit, evaluate_along, fit_srbf, reference, srbf
+from gsvis.color import VARIANTS, FitConfig, SrbfFit, evaluate_along, fit_srbf, reference, srbf, unit_vectors
 from gsvis.color._kernels.fit import fit_lobes
 from gsvis.color._kernels.refine import refine, work
 from gsvis.color._pursuit import Pursuit
@@ -125,7 +125,7 @@ def test_one_lobe_more_never_makes_a_fit_worse(emphasis: float) -> None:
     g = scene(40, spread=0.4)
     pursuit = Pursuit(FitConfig(max_terms=16, mean_terms=None, emphasis=emphasis))
     weights = np.ones((40, 320), np.float32)
-    curves = pursuit.fit(sample_colors(g), weights, np.ones(40), 0.0, np.zeros(40, bool)).curves[0]
+    curves = pursuit.fit(sample_colors(g), weights, np.ones(40), 0.0, np.zeros(40, bool)).lobes[0].curves
     assert (np.diff(curves, axis=1) <= 1e-6 * curves[:, :1]).all()
     assert (curves[:, 16] < 0.2 * curves[:, 0]).all()
 
@@ -134,11 +134,11 @@ def test_the_price_is_that_of_whole_curves() -> None:
     """Long curves are fitted only where they can be worth the price that few terms have."""
     g, faces = scene(600), caps(600).astype(np.float32)
     importance = np.random.default_rng(0).lognormal(sigma=2.0, size=600)
-    config = FitConfig(mean_terms=2.0, max_terms=12)
+    config = FitConfig(mean_terms=2.0, max_terms=12, width_price=0.0)
     pursuit = Pursuit(config)
     found = fit_srbf(g, faces, config, importance=importance)
     weights = np.repeat(faces, 4, axis=1) * SHARES.astype(np.float32)
-    curves = pursuit.fit(sample_colors(g), weights, importance, 0.0, np.zeros(600, bool)).curves[0]
+    curves = pursuit.fit(sample_colors(g), weights, importance, 0.0, np.zeros(600, bool)).lobes[0].curves
     costs = importance[:, None] * curves + found.price * np.arange(13)
     assert abs(costs.argmin(axis=1).mean() - 0.98 * 2.0) < 0.01
 
@@ -202,10 +202,11 @@ def test_lobes_that_made_a_function_are_found() -> None:
     dictionary = np.exp(starts @ POINTS.T - np.linalg.norm(starts, axis=1)[:, None]).astype(np.float32)
     v, a = np.zeros((1, 3, 3), np.float32), np.zeros((1, 3, 1), np.float32)
     counts, curves = np.zeros(1, np.int64), np.zeros((1, 4), np.float32)
-    limits = (1e-9, 0.1, 60.0, 1e-6, 200.0, 0.0)
+    wide = np.zeros((1, 4), np.float32)
+    limits = (1e-9, 0.1, 60.0, 1e-6, 200.0, 0.0, 0.0, 0.02)
     fit_lobes(
         np.ascontiguousarray(POINTS.T, np.float32), dictionary, starts, values.astype(np.float32)[None, None],
-        np.ones((1, 320), np.float32), np.ones(1), np.array([3]), 0.0, limits, v, a, counts, curves,
+        np.ones((1, 320), np.float32), np.ones(1), np.array([3]), 0.0, limits, v, a, counts, curves, wide,
     )  # fmt: skip
     found = np.linalg.norm(v[0], axis=1)
     order = [int(np.argmax(v[0] @ c / found)) for c in centers]
@@ -213,6 +214,37 @@ def test_lobes_that_made_a_function_are_found() -> None:
     assert curves[0, 3] < 1e-4 * curves[0, 0]
     np.testing.assert_allclose(found[order], decays, rtol=0.1)
     np.testing.assert_allclose(a[0, order, 0], intensities, atol=0.05)
+
+
+def active_shares(fit: SrbfFit, faces: np.ndarray) -> np.ndarray:
+    """(T,) weighted share of the seen directions along which each term changes a channel by more than 0.02."""
+    colors = fit.colors
+    weights = np.repeat(faces, 4, axis=1) * SHARES
+    weights /= weights.sum(axis=1, keepdims=True)
+    lobes = srbf(POINTS, unit_vectors(colors.centers)[:, None], colors.decays[:, None])
+    changes = np.abs(colors.amplitudes()).max(axis=1, keepdims=True) * lobes
+    return ((changes > 0.02) * weights[colors.gaussian_ids]).sum(axis=1)
+
+
+def test_a_price_for_width_narrows_terms_and_costs_little() -> None:
+    g, faces = scene(300, spread=0.08), caps(300)
+    free, priced = (
+        fit_srbf(g, faces, FitConfig(max_terms=8, mean_terms=2.0, width_price=price)) for price in (0.0, 3.0)
+    )
+    shares = [active_shares(fit, faces) for fit in (free, priced)]
+    assert shares[1].mean() < 0.9 * shares[0].mean()
+    assert priced.colors.num_terms <= 2.0 * len(g)
+    assert priced.errors.mean() < 1.3 * free.errors.mean()
+
+
+def test_widths_in_the_kernel_are_those_of_the_terms() -> None:
+    g, faces = scene(20), caps(20).astype(np.float32)
+    weights = np.repeat(faces, 4, axis=1) * SHARES.astype(np.float32)
+    pursuit = Pursuit(FitConfig(max_terms=3))
+    (lobes,) = pursuit.fit(sample_colors(g), weights, np.ones(20), 0.0, np.zeros(20, bool)).lobes
+    fit = fit_srbf(g, faces, FitConfig(max_terms=3, mean_terms=None))
+    summed = np.bincount(fit.colors.gaussian_ids, active_shares(fit, faces), len(g))
+    np.testing.assert_allclose(lobes.wide[np.arange(20), lobes.counts], summed, atol=1e-3)
 
 
 @pytest.mark.parametrize("channels", [1, 3])
@@ -229,7 +261,7 @@ def test_refinement_is_as_good_as_scipys(terms: int, channels: int) -> None:
     best, found = reference.refine(truth, POINTS, points[3] ** 2, rng.normal(scale=3.0, size=(terms, 3)), ridge=0.01)
     nearby = found * rng.uniform(0.9, 1.1, found.shape)
     w, v, a = work(terms, 320, channels), nearby.copy(), np.zeros((terms, channels))
-    refine(w, points, targets, 320, total, terms, channels, v, a, (0.01, 1e-3, 1e3, 1e-9, 300.0, 0.0))
+    refine(w, points, targets, 320, total, terms, channels, v, a, (0.01, 1e-3, 1e3, 1e-9, 300.0, 0.0, 0.0, 0.02))
     decays = np.linalg.norm(v, axis=1)
     lobes = np.exp(points[:3].T.astype(np.float64) @ v.T - decays)
     left = np.square((truth - lobes @ a) * points[3][:, None]).sum() + 0.01 * np.square(a).sum()
@@ -263,6 +295,8 @@ def test_bad_arguments_are_named() -> None:
         ({"mean_terms": -1.0}, "mean_terms: expected"),
         ({"decays": ()}, "decays: expected at least one"),
         ({"ridge": float("nan")}, "ridge: expected"),
+        ({"width_price": -1.0}, "width_price: expected"),
+        ({"epsilon": 0.0}, "epsilon: expected"),
     ):
         with pytest.raises(ValueError, match=match):
             FitConfig(**wrong)

@@ -80,6 +80,22 @@ def _subtract_lobes(rows, targets, intensities, terms, channels, count, left):
 
 
 @inner(fastmath=True)
+def _seen_widths(w, points, intensities, terms, channels, count, weight, epsilon):
+    """Return the sum over lobes of the weighted share of directions along which each changes a channel noticeably."""
+    total = 0.0
+    for k in range(terms):
+        largest = 0.0
+        for c in range(channels):
+            largest = max(largest, abs(intensities[k, c]))
+        size = np.float32(largest / epsilon)
+        lobe = w.rows[k]
+        for d in range(count):
+            root = points[3, d]
+            total += root * root if size * lobe[d] > root else np.float32(0.0)
+    return total / weight
+
+
+@inner(fastmath=True)
 def _append(w, points, left, padded, total, terms, channels, start, lobe, intensities, limits):
     """Add a lobe to `terms` fixed lobes; only the new one moves, to fit what they leave."""
     for i in range(3):
@@ -93,7 +109,7 @@ def _append(w, points, left, padded, total, terms, channels, start, lobe, intens
 
 @inner(fastmath=True, error_model="numpy")
 def _fit_block(
-    block, directions, dictionary, starts, targets, weights, importance, most, price, limits, v, a, counts, curves
+    block, directions, dictionary, starts, targets, weights, importance, most, price, limits, v, a, counts, curves, wide
 ):
     """Fit one block of `fit_lobes`; inlined there, it would be 4% slower."""
     n, channels, size = targets.shape
@@ -119,6 +135,7 @@ def _fit_block(
                 total += np.float64(rows[c, d]) ** 2
         mean = total / weight if weight > 0.0 else 0.0
         curves[g, :] = mean
+        wide[g, :] = 0.0
         best = importance[g] * mean
         at_most = min(most[g], terms_at_most, count // 4)
         if at_most == 0 or best <= price or mean <= 1e-12:
@@ -132,6 +149,7 @@ def _fit_block(
             norms[k] = s + np.float32(1e-12)
         copy(rows, channels, count, left)
         emphasis = limits[5]
+        narrow = price * limits[6] * weight / importance[g]
         for k in range(at_most):
             chosen = _choose(atoms, norms, left, channels, count)
             copy(lobe, k, 3, old_lobe)
@@ -139,7 +157,16 @@ def _fit_block(
             for i in range(3):
                 lobe[k, i] = starts[chosen, i]
             for _ in range(_PATIENCE):
-                scaled = (limits[0] * weight, limits[1], limits[2], limits[3], limits[4], emphasis)
+                scaled = (
+                    limits[0] * weight,
+                    limits[1],
+                    limits[2],
+                    limits[3],
+                    limits[4],
+                    emphasis,
+                    narrow,
+                    limits[7],
+                )
                 refine(w, points, rows, padded, total, k + 1, channels, lobe, intensities, scaled)
                 lobes(points, padded, lobe, k + 1, w.rows)
                 gram(w.rows, 4 * (k + 1), padded, w.scratch, w.inner)
@@ -159,7 +186,8 @@ def _fit_block(
             mean = error / weight
             _subtract_lobes(w.rows, rows, intensities, k + 1, channels, count, left)
             curves[g, k + 1 :] = mean
-            cost = importance[g] * mean + price * (k + 1)
+            wide[g, k + 1 :] = _seen_widths(w, points, intensities, k + 1, channels, padded, weight, limits[7])
+            cost = importance[g] * mean + price * (k + 1 + limits[6] * wide[g, k + 1])
             if cost < best:
                 best = cost
                 counts[g] = k + 1
@@ -168,7 +196,8 @@ def _fit_block(
                         v[g, j, i] = lobe[j, i]
                     for c in range(channels):
                         a[g, j, c] = intensities[j, c]
-            if best <= price * (k + 2):  # even a perfect further term is not worth its price
+            spent = price * (k + 1 + limits[6] * wide[g, k + 1])
+            if best <= spent + price:  # even a perfect further term is not worth its price
                 break
 
 
@@ -190,6 +219,7 @@ def fit_lobes(
     a,
     counts,
     curves,
+    wide,
 ):
     """Fit as many lobes to each of n Gaussians as are worth their price.
 
@@ -204,11 +234,14 @@ def fit_lobes(
         importance: (n,) float64, cost of a unit of weighted mean squared error.
         most: (n,) int64, maximum number of lobes of each.
         price: Cost of a lobe.
-        limits: The limits of `refine`; the ridge is relative to the sum of the weights.
+        limits: The limits of `refine`; the ridge is relative to the sum of the weights, and the cost of a width is
+            one of a lobe.
         v: (n, K, 3) float32, written: decay times center, in sending order.
         a: (n, K, C) float32, written: intensities.
         counts: (n,) int64, written: lobes worth their price.
         curves: (n, K + 1) float32, written: weighted mean squared error (summed over channels) with 0, 1, ... lobes.
+        wide: (n, K + 1) float32, written: sum over the lobes of the weighted share of directions along which each
+            changes a channel by more than epsilon.
     """
     for block in range(begin, end):
         _fit_block(
@@ -226,6 +259,7 @@ def fit_lobes(
             a,
             counts,
             curves,
+            wide,
         )
 
 
@@ -269,7 +303,7 @@ def settle_lobes(begin, end, directions, targets, weights, limits, counts, v, a,
         lobes(points, padded, lobe, terms, w.rows)
         gram(w.rows, 4 * terms, padded, w.scratch, w.inner)
         dots(w.rows, 4 * terms, rows, channels, padded, w.scratch, w.outer)
-        scaled = (limits[0] * weight, limits[1], limits[2], limits[3], limits[4], limits[5])
+        scaled = (limits[0] * weight, *limits[1:])
         intensities[:] = 0.0
         errors[g] = settle(w, total, terms, channels, scaled, intensities, np.bool_(True)) / weight
         copy(intensities, terms, channels, a[g])

@@ -15,6 +15,10 @@ from gsvis.color._kernels.lobes import dots, gram, lobes
 
 __all__ = ["Work", "best_intensities", "copy", "error_after", "falls_along", "refine", "settle", "work"]
 
+# A lobe of amplitude A and decay d changes a color by more than epsilon over a part of the sphere that is about
+# L / (2 d), L = log(A / epsilon). Its width here is L / (L + 2 d): the same for narrow lobes, below 1 for wide ones,
+# and smooth.
+
 _ATTEMPTS = 4
 _ATTEMPTS_TO_SETTLE = 16
 
@@ -140,6 +144,45 @@ def best_intensities(inner, outer, terms, channels, ridge, small, intensities):
 
 
 @inner(fastmath=True)
+def _log_size(intensities, k, channels, epsilon):
+    """Return the logarithm of a lobe's largest intensity over epsilon, at least 0."""
+    largest = 0.0
+    for c in range(channels):
+        largest = max(largest, abs(intensities[k, c]))
+    return np.log(largest / epsilon) if largest > epsilon else 0.0
+
+
+@inner(fastmath=True)
+def _widths(v, intensities, terms, channels, epsilon):
+    """Return the sum of the widths of lobes."""
+    total = 0.0
+    for k in range(terms):
+        size = _log_size(intensities, k, channels, epsilon)
+        decay = np.sqrt(v[k, 0] * v[k, 0] + v[k, 1] * v[k, 1] + v[k, 2] * v[k, 2])
+        total += size / (size + 2.0 * decay)
+    return total
+
+
+@inner(fastmath=True)
+def _narrow(w, v, intensities, terms, channels, narrow, epsilon):
+    """Add slope and curvature of the widths, times `narrow`, to the normal equations; return the top diagonal."""
+    largest = 0.0
+    for k in range(terms):
+        size = _log_size(intensities, k, channels, epsilon)
+        decay = np.sqrt(v[k, 0] * v[k, 0] + v[k, 1] * v[k, 1] + v[k, 2] * v[k, 2])
+        below = size + 2.0 * decay
+        slope = narrow * size / (below * below)
+        curvature = 4.0 * slope / below
+        for i in range(3):
+            p = 3 * k + i
+            w.slope[p, 0] += slope * v[k, i] / decay
+            for j in range(i + 1):
+                w.normal[p, 3 * k + j] += curvature * v[k, i] * v[k, j] / (decay * decay)
+            largest = max(largest, w.normal[p, p])
+    return largest
+
+
+@inner(fastmath=True)
 def _normal_equations(w, terms, channels, ridge, intensities):
     """Compute slope and curvature of the error by v, with intensities eliminated (Kaufman); return the top diagonal."""
     n = 3 * terms
@@ -216,9 +259,10 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
         channels: Number of targets.
         v: (K, 3) decay times center of each lobe, changed in place.
         intensities: (K, channels), changed in place.
-        limits: Ridge, least decay, most decay, relative gain below which to stop, maximum number of steps.
+        limits: Ridge, least decay, most decay, relative gain below which to stop, maximum number of steps, emphasis
+            on shorter prefixes, cost of a lobe's width, change of color from which a lobe counts.
     """
-    ridge, least_decay, most_decay, tolerance, steps, emphasis = limits
+    ridge, least_decay, most_decay, tolerance, steps, emphasis, narrow, epsilon = limits
     total *= 1.0 + emphasis * (terms - 1)
     size = 4 * terms
     lobes(points, count, v, terms, w.rows)
@@ -227,6 +271,7 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
     _count_prefixes(terms, emphasis, w.factors)
     _weigh_prefixes(w.inner, w.outer, size, channels, w.factors)
     explained = best_intensities(w.inner, w.outer, terms, channels, ridge, w.small, intensities)
+    price = narrow * _widths(v, intensities, terms, channels, epsilon) if narrow > 0.0 else 0.0
     damping = 1e-2
     for _ in range(int(steps)):
         error = total - explained
@@ -235,6 +280,8 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
         largest = _normal_equations(w, terms, channels, ridge, intensities)
         if largest <= 0.0:
             break
+        if narrow > 0.0:
+            largest = _narrow(w, v, intensities, terms, channels, narrow, epsilon)
         gained = -1.0
         for _ in range(_ATTEMPTS):
             if _try_step(w, v, terms, damping, largest, least_decay, most_decay):
@@ -243,13 +290,15 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
                 dots(w.rows, size, targets, channels, count, w.scratch, w.outer2)
                 _weigh_prefixes(w.inner2, w.outer2, size, channels, w.factors)
                 better = best_intensities(w.inner2, w.outer2, terms, channels, ridge, w.small, w.intensities)
-                if better > explained:
-                    gained = better - explained
+                wide = narrow * _widths(w.trial, w.intensities, terms, channels, epsilon) if narrow > 0.0 else 0.0
+                if better - wide > explained - price:
+                    gained = better - wide - (explained - price)
                     break
             damping *= 6.0
         if gained < 0.0:
             break
-        explained += gained
+        explained = better
+        price = wide
         damping = max(0.2 * damping, 1e-6)
         copy(w.trial, terms, 3, v)
         copy(w.intensities, terms, channels, intensities)
