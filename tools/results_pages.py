@@ -114,6 +114,7 @@ PAGES = {
             "color_quality_flowers",
             "color_quality_nika",
             "color_held_out",
+            "term_width",
             "color_fit",
             "omp",
             "color_evaluate",
