@@ -10,12 +10,13 @@ References:
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.nn.functional import normalize
 
 from arena.course import Course
 from gsvis.render import GaussianTensors, rasterize
@@ -24,7 +25,7 @@ from gsvis.scene.morton import morton_order
 from gsvis.scene.points import PointCloud
 from gsvis.train.initial import gaussians_from_points
 
-__all__ = ["Anchors", "levels_of", "voxel_centers"]
+__all__ = ["Anchors", "Places", "find_places", "levels_of"]
 
 F32 = NDArray[np.float32]
 
@@ -32,6 +33,7 @@ _FEATURES = 32
 _HIDDEN = 32
 _SIZES_WEIGHT = 0.01  # of the volumes of Gaussians in the loss, as in the authors' code
 _ROUNDS = 40
+_BESIDE = 0.6  # half of an image and a margin, as a share of its sides
 _OPAQUE = 0.3  # bias of opacities at the start, so that most Gaussians are drawn
 
 
@@ -59,26 +61,26 @@ class Anchors(nn.Module):
         })  # fmt: skip
 
     @classmethod
-    def from_centers(cls, centers: F32, sizes: F32, level: NDArray[np.int64], reach: float) -> Anchors:
-        """Return anchors before training.
+    def from_places(cls, places: Places, reach: float) -> Anchors:
+        """Return anchors before training; the first three numbers of a feature are its color.
 
         Args:
-            centers: (N, 3).
-            sizes: (N,) distances to their neighbors.
-            level: (N,) their levels.
+            places: Where they stand.
             reach: See the class.
         """
         torch.manual_seed(0)
-        n = len(centers)
+        n = len(places.centers)
+        sizes = 0.5 * places.sizes
         logs = torch.from_numpy(np.log(np.maximum(sizes, 1e-6))).float()[:, None].repeat(1, 3)
         values = {
-            "centers": torch.tensor(centers),
+            "centers": torch.tensor(places.centers),
             "features": 0.1 * torch.randn(n, _FEATURES),
             "offsets": 0.5 * torch.randn(n, cls.PER, 3),
             "log_reach": logs.clone(),
             "log_scales": logs.clone(),
         }
-        anchors = cls(values, torch.from_numpy(level), reach)
+        values["features"][:, :3] = torch.tensor(4.0 * (places.colors - 0.5))
+        anchors = cls(values, torch.from_numpy(places.level), reach)
         bias = list(anchors.networks["opacities"].parameters())[-1]
         nn.init.constant_(bias, _OPAQUE)
         return anchors
@@ -90,18 +92,18 @@ class Anchors(nn.Module):
         """Return the learning rate of each tensor."""
         rates = {"centers": 0.0, "features": 7.5e-3, "offsets": 1e-2, "log_reach": 7e-3, "log_scales": 7e-3}
         found: dict[Tensor, float] = {self.values[name]: rate for name, rate in rates.items()}
-        return found | dict.fromkeys(self.networks.parameters(), 0.004)
+        found |= dict.fromkeys(self.networks.parameters(), 4e-3)
+        return found | dict.fromkeys(self.networks["colors"].parameters(), 8e-3)
 
     def draw(self, camera: Cameras) -> tuple[Tensor, Tensor]:
         """Return the image (H, W, 3) and the mean volume of the Gaussians, weighted for the loss."""
         rows = self._rows(camera)
         v = {name: value[rows] for name, value in self.values.items()}
         apart = v["centers"] - torch.tensor(camera.viewpoints[0]).float()
-        distance = apart.norm(dim=1, keepdim=True).clamp(min=1e-6)
-        told = torch.cat([v["features"], apart / distance, distance], dim=1)
-        opacities = self.networks["opacities"](told).tanh().reshape(-1)
-        colors = self.networks["colors"](told).sigmoid().reshape(-1, 3)
-        shapes = self.networks["shapes"](told).reshape(-1, 7)
+        seen = torch.cat([v["features"], normalize(apart, dim=1)], dim=1)
+        opacities = self.networks["opacities"](seen).tanh().reshape(-1)
+        colors = self.networks["colors"](seen).sigmoid().reshape(-1, 3)
+        shapes = self.networks["shapes"](seen).reshape(-1, 7)
         each = torch.arange(len(rows)).repeat_interleave(self.PER)
         keep = opacities > 0.0
         offsets = v["offsets"].reshape(-1, 3) * v["log_reach"].exp()[each]
@@ -156,12 +158,16 @@ class Anchors(nn.Module):
         return 2 * sum(p.numel() for p in self.networks.parameters())
 
     def _rows(self, camera: Cameras) -> Tensor:
-        """Return the indices of anchors that are drawn: in front of the camera, of levels that suit the distance."""
+        """Return the indices of anchors that are drawn: in or beside the image, of levels that suit the distance."""
         with torch.no_grad():
             centers = self.values["centers"]
             pose = torch.tensor(camera.viewmats[0]).float()
-            depth = centers @ pose[2, :3] + pose[2, 3]
-            drawn = depth > 0.0
+            local = centers @ pose[:3, :3].T + pose[:3, 3]
+            k = camera.Ks[0]
+            reach = 3.0 * self.values["log_scales"].exp().amax(dim=1) + 2.0 * self.values["log_reach"].exp().amax(dim=1)
+            across = local[:, 0].abs() - reach < float(_BESIDE * camera.width / k[0, 0]) * local[:, 2]
+            down = local[:, 1].abs() - reach < float(_BESIDE * camera.height / k[1, 1]) * local[:, 2]
+            drawn = (local[:, 2] > 0.0) & across & down
             if np.isfinite(self.reach):
                 eye = torch.tensor(camera.viewpoints[0]).float()
                 distance = (centers - eye).norm(dim=1).clamp(min=1e-6)
@@ -170,24 +176,39 @@ class Anchors(nn.Module):
             return torch.nonzero(drawn)[:, 0]
 
 
-def voxel_centers(points: F32, most: int, levels: int) -> tuple[F32, F32, NDArray[np.int64]]:
-    """Return anchors at voxels that hold points: centers (N, 3), sizes (N,) and levels (N,).
+class Places(NamedTuple):
+    """Where anchors stand.
+
+    Attributes:
+        centers: (N, 3).
+        colors: (N, 3) in [0, 1].
+        sizes: (N,) distances to their neighbors.
+        level: (N,) their levels.
+    """
+
+    centers: F32
+    colors: F32
+    sizes: F32
+    level: NDArray[np.int64]
+
+
+def find_places(points: PointCloud, most: int, levels: int) -> Places:
+    """Return anchors at the voxels that hold points.
 
     The side of the lowest level is bisected so that all levels together have at most `most` anchors. Centers are the
     means of the points in a voxel; sizes are distances to neighbors, as in `gaussians_from_points`.
     """
-    extent = float(np.ptp(points, axis=0).max())
+    extent = float(np.ptp(points.means, axis=0).max())
     low, high = np.log(extent * 1e-5), np.log(extent * 2.0 ** (levels + 3))
     for _ in range(_ROUNDS):
         middle = 0.5 * (low + high)
         count = sum(len(_voxels(points, float(np.exp(middle)) / 2**k)) for k in range(levels))
         low, high = (low, middle) if count <= most else (middle, high)
     found = [_voxels(points, float(np.exp(high)) / 2**k) for k in range(levels)]
-    return (
-        np.concatenate(found).astype(np.float32),
-        np.concatenate([_spacing(part) for part in found]),
-        np.concatenate([np.full(len(part), k) for k, part in enumerate(found)]),
-    )
+    rows = np.concatenate(found).astype(np.float32)
+    sizes = np.concatenate([_spacing(part[:, :3]) for part in found])
+    level = np.concatenate([np.full(len(part), k) for k, part in enumerate(found)])
+    return Places(rows[:, :3], rows[:, 3:], sizes, level)
 
 
 def levels_of(course: Course, levels: int) -> float:
@@ -198,23 +219,28 @@ def levels_of(course: Course, levels: int) -> float:
     return float(np.quantile(np.linalg.norm(course.start.means - middle, axis=1), 0.9)) * 2.0
 
 
-def _voxels(points: F32, side: float) -> NDArray[np.float64]:
-    """Return the mean of the points of each voxel that holds any."""
-    cells = np.floor(points / side).astype(np.int64)
+def _voxels(points: PointCloud, side: float) -> NDArray[np.float64]:
+    """Return the means of the rows of the points of each voxel that holds any."""
+    rows = np.concatenate([points.means, points.colors], axis=1)
+    cells = np.floor(points.means / side).astype(np.int64)
     _, of = np.unique(cells, axis=0, return_inverse=True)
     of = of.reshape(-1)
     counts = np.bincount(of)
-    return np.stack([np.bincount(of, points[:, axis]) / counts for axis in range(3)], axis=1)
+    return np.stack([np.bincount(of, row) / counts for row in rows.T], axis=1)
 
 
 def _spacing(centers: NDArray[np.float64]) -> F32:
-    """Return the distance of each center to its neighbors; 1 for a single one."""
+    """Return the distance of each center to its neighbors, at most that of nine in ten; 1 for a single one."""
     if len(centers) < 2:
         return np.ones(len(centers), np.float32)
     cloud = PointCloud(centers.astype(np.float32), np.zeros_like(centers, np.float32))
-    return gaussians_from_points(cloud).scales[:, 0]
+    apart = gaussians_from_points(cloud).scales[:, 0]
+    return np.asarray(np.minimum(apart, np.quantile(apart, 0.9)), np.float32)
 
 
 def _network(outputs: int) -> nn.Sequential:
-    """Return a network of one hidden layer, from a feature, a direction and a distance."""
-    return nn.Sequential(nn.Linear(_FEATURES + 4, _HIDDEN), nn.ReLU(), nn.Linear(_HIDDEN, outputs))
+    """Return a network of one hidden layer, from a feature and a direction."""
+    first = nn.Linear(_FEATURES + 3, _HIDDEN)
+    with torch.no_grad():
+        first.weight[:, _FEATURES:] = 0.0  # nothing depends on the direction until a photograph says so
+    return nn.Sequential(first, nn.ReLU(), nn.Linear(_HIDDEN, outputs))

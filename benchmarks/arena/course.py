@@ -21,6 +21,7 @@ from gsvis.render import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians, quats_from_rotations
 from gsvis.scene.paths import HeadPath
+from gsvis.scene.points import PointCloud
 from gsvis.scene.procedural import builtin_scene
 from gsvis.train.images import PosedImages
 from gsvis.train.initial import gaussians_from_points, random_points
@@ -46,13 +47,13 @@ class Course:
         name: Name of the scene.
         folder: The photographs, for systems that read them by themselves.
         photos: All of them, sorted by name, in the size of the arena.
-        start: Gaussians that training begins with.
+        points: Points of the reconstruction; random ones where there are none.
     """
 
     name: str
     folder: Path
     photos: Photos
-    start: Gaussians
+    points: PointCloud
 
     @classmethod
     def open(cls, folder: Path, size: tuple[int, int]) -> Course:
@@ -75,7 +76,12 @@ class Course:
         points = photos.points
         if points is None:
             points = random_points(photos.views.cameras, _RANDOM_POINTS, np.random.default_rng(0))
-        return cls(folder.name, folder, photos, gaussians_from_points(points))
+        return cls(folder.name, folder, photos, points)
+
+    @cached_property
+    def start(self) -> Gaussians:
+        """Gaussians that training begins with."""
+        return gaussians_from_points(self.points)
 
     @cached_property
     def views(self) -> PosedImages:

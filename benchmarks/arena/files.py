@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.files.limits import read_whole
 
-__all__ = ["load_arrays", "save_arrays"]
+__all__ = ["deflated", "load_arrays", "save_arrays"]
 
 
 def save_arrays(path: Path, **arrays: NDArray[Any]) -> int:
@@ -24,6 +24,11 @@ def save_arrays(path: Path, **arrays: NDArray[Any]) -> int:
         compressed(memory, **arrays)
         path.write_bytes(memory.getvalue())
     return path.stat().st_size
+
+
+def deflated(array: NDArray[Any]) -> int:
+    """Return the bytes of an array that is compressed by DEFLATE."""
+    return len(zlib.compress(np.ascontiguousarray(array).tobytes(), 9))
 
 
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:

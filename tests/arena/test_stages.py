@@ -5,17 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from arena.anchors import Anchors, voxel_centers
+from arena.anchors import Anchors, find_places
+from arena.bags import sum_rows
 from arena.codebooks import fake_quantize, kmeans, nearest
 from arena.course import Course
 from arena.grid import roughness, sort_to_grid
+from arena.hash_grid import contract
 from arena.links import drawn_links
 from arena.planes import decode_jpeg_xl, dequantize, encode_jpeg_xl, quantize
 from arena.stages import Stages, cut_rows
-from arena.systems import compressed3d, sogg
+from arena.systems import compact3d, compressed3d, sogg
 
 from gsvis.abr import BandwidthTrace
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.points import PointCloud
 from gsvis.scene.procedural import random_scene
 from gsvis.simulate import Link
 
@@ -123,10 +126,50 @@ def test_codebooks_that_are_sent_draw_what_training_drew(course: Course) -> None
     np.testing.assert_allclose(np.clip(rasterize(back, camera).images[0], 0, 1), trained, atol=5e-3)
 
 
+def test_a_grid_of_colors_and_codes_that_are_sent_draw_nearly_the_same(course: Course) -> None:
+    made = compact3d.Compact.from_gaussians(scene(80, 0))
+    back = compact3d.Compact.from_arrays(made.arrays())
+    with torch.no_grad():
+        for camera in (course.views.cameras[k] for k in range(2)):
+            np.testing.assert_allclose(made.draw(camera)[0].numpy(), back.draw(camera)[0].numpy(), atol=0.05)
+
+
+def test_each_stage_of_codes_leaves_less() -> None:
+    rows = torch.from_numpy(np.random.default_rng(5).normal(size=(300, 4)).astype(np.float32))
+    books, codes = compact3d.residual_codes(rows, stages=4, codes=16)
+    left = [float((rows - compact3d.sum_codes(books[:k], codes[:, :k])).square().mean()) for k in range(1, 5)]
+    assert left == sorted(left, reverse=True)
+    assert left[-1] < 0.3
+
+
+def test_sums_of_rows_have_the_gradient_of_plain_indexing() -> None:
+    rng = np.random.default_rng(7)
+    table, weights = (torch.from_numpy(rng.normal(size=size)) for size in ((9, 2), (20, 3)))
+    entries = torch.from_numpy(rng.integers(0, 9, (20, 3)))
+    for some in (weights, None):
+        plain, quick = (table.clone().requires_grad_() for _ in range(2))
+        rows = plain[entries]
+        expected = (rows if some is None else rows * some[:, :, None]).sum(dim=1)
+        got = sum_rows(quick, entries, some)
+        torch.testing.assert_close(got, expected)
+        for each in (expected, got):
+            each.square().sum().backward()
+        torch.testing.assert_close(quick.grad, plain.grad)
+
+
+def test_places_are_contracted_into_a_ball() -> None:
+    places = 10.0 * torch.from_numpy(np.random.default_rng(6).normal(size=(200, 3)).astype(np.float32))
+    places[:20] *= 0.01
+    inside = contract(places)
+    assert float(inside.norm(dim=1).max()) <= 2.0
+    near = places.norm(dim=1) <= 1.0
+    assert near.any()
+    torch.testing.assert_close(inside[near], places[near])
+
+
 def anchors(levels: int) -> Anchors:
-    points = np.random.default_rng(4).random((500, 3)).astype(np.float32)
-    centers, sizes, level = voxel_centers(points, 60, levels)
-    return Anchors.from_centers(centers, sizes, level, 2.0 if levels > 1 else float("inf"))
+    points = PointCloud(np.random.default_rng(4).random((500, 3)))
+    return Anchors.from_places(find_places(points, 60, levels), 2.0 if levels > 1 else float("inf"))
 
 
 @pytest.mark.parametrize("levels", [1, 3])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from arena.systems import compressed3d, gaussians, octree, ours, scaffold, sogg
+from arena.systems import compact3d, compressed3d, gaussians, layers, octree, ours, scaffold, sogg
 from arena.systems.system import System, Training, trained
 
 __all__ = ["SYSTEMS", "System", "Training", "trained"]
@@ -14,5 +14,7 @@ SYSTEMS: tuple[System, ...] = (
     *compressed3d.SYSTEMS,
     *scaffold.SYSTEMS,
     *octree.SYSTEMS,
+    *compact3d.SYSTEMS,
+    *layers.SYSTEMS,
 )
 """All systems; the first is ours, and all others are compared with it."""

@@ -1,7 +1,7 @@
 """Scaffold-GS: anchors with features, from which small networks make the Gaussians of a view.
 
 Each anchor carries a feature, offsets of a few Gaussians, and scales. Three networks take the feature and the direction
-and distance of the camera, and return opacities, colors and shapes; Gaussians without opacity are not drawn. Sent are
+of the camera, and return opacities, colors and shapes; Gaussians without opacity are not drawn. Sent are
 the networks, then anchors in Morton order, in half floats; what has arrived is shown.
 
 References:
@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from arena.anchors import Anchors, levels_of, voxel_centers
+from arena.anchors import Anchors, find_places, levels_of
 from arena.budget import Allowance, Budget, descend
 from arena.course import Course
 from arena.files import load_arrays, save_arrays
@@ -41,9 +41,7 @@ def train_anchors(course: Course, budget: Budget, levels: int, progress: Progres
         progress: Called with stage "train".
     """
     most = budget.allowance.gaussians // Anchors.PER
-    centers, sizes, level = voxel_centers(course.start.means, most, levels)
-    reach = levels_of(course, levels)
-    anchors = Anchors.from_centers(centers, sizes, level, reach)
+    anchors = Anchors.from_places(find_places(course.points, most, levels), levels_of(course, levels))
     rates = anchors.rates()
     descend(course, budget, anchors.draw, rates, rates_end=0.02, progress=progress)
     return anchors
