@@ -4,7 +4,8 @@ A bonsai trained by `gsvis train` (SH of degree 3, every 8th photograph held out
 training cameras see each Gaussian, then learned from the training photographs; SH is learned from where it stands, by
 the same loop for the same number of steps. Both are judged on the held-out photographs, SRBF as rounded records.
 
-Given: --scene-file, a scene trained on the bonsai photographs; --steps of learning; --mean-terms a Gaussian.
+Given: --scene-file, a scene trained on the bonsai photographs; --steps of learning; --variant of the colors, `rgb` or
+    the paper's `hsl`; --mean-terms a Gaussian; --size of the photographs.
 Measured: PSNR on the held-out photographs, mean over views, clipped to [0, 1], for three seeds of the order of views;
     bytes of colors and terms as records and as SH of 32 bits; seconds of the steps of both.
 Defaults chosen on: the rate of SH coefficients is the best of three, by every eighth of the training photographs, which
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 from _harness import add_arguments, need, realdata, write_result
 
-from gsvis.color import FitConfig, SrbfColors, fit_srbf, quantize, record_bytes, sh_bytes
+from gsvis.color import VARIANTS, FitConfig, SrbfColors, fit_srbf, quantize, record_bytes, sh_bytes
 from gsvis.io import load_scene
 from gsvis.prepare.importance import importance_from_views
 from gsvis.render import psnr, rasterize
@@ -30,7 +31,6 @@ from gsvis.train.colors import LearnConfig, learn_colors, learn_sh
 from gsvis.train.images import PosedImages
 from gsvis.train.photos import load_photos
 
-SIZE = (400, 266)
 SEEDS = (0, 1, 2)
 SH_RATES = (1.25e-4, 5e-4, 2e-3)
 
@@ -60,13 +60,15 @@ def main() -> None:
     parser.add_argument("--scene-file", type=Path, help="what gsvis train wrote")
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--mean-terms", type=float, default=1.9)
+    parser.add_argument("--variant", choices=tuple(VARIANTS), default=FitConfig.variant)
+    parser.add_argument("--size", type=int, nargs=2, default=(400, 266), metavar=("W", "H"))
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
     arguments = parser.parse_args()
     need(arguments.scene_file, "--scene-file, what gsvis train wrote")
     g = load_scene(arguments.scene_file)
-    train, held_out = load_photos(realdata() / "photos/bonsai", size=SIZE).views.split(8)
+    train, held_out = load_photos(realdata() / "photos/bonsai", size=tuple(arguments.size)).views.split(8)
     seen = importance_from_views(g, train.cameras)
-    config = FitConfig(mean_terms=arguments.mean_terms)
+    config = FitConfig(variant=arguments.variant, mean_terms=arguments.mean_terms)
     fitted = fit_srbf(g, seen.sets, config, importance=seen.importance).colors
     before = {"sh": judged(g, None, held_out), "srbf": judged(g, quantize(fitted, "wire").dequantize(), held_out)}
     print({name: round(float(each.mean()), 3) for name, each in before.items()}, flush=True)
@@ -114,8 +116,13 @@ def main() -> None:
             "better": "lower",
         }
     )
+    if arguments.variant != FitConfig.variant:
+        for figure in figures:
+            figure["name"] = f"{arguments.variant}: {figure['name']}"
     details = {
         "gaussians": len(g),
+        "variant": arguments.variant,
+        "size": list(arguments.size),
         "steps": arguments.steps,
         "sh_rate": sh_rate,
         "sh_bytes": sh_bytes(g.sh_degree, 32),

@@ -297,8 +297,9 @@ class Learning:
     """Photographs to train colors on, with the COLMAP model or transforms.json that SCENE was trained from."""
     downscale: Annotated[float | None, readers.FACTOR, hint("1")] = None
     """Shrink the photographs by this factor."""
-    color_steps: Annotated[int | None, readers.WHOLE, hint("300 with --photos, else 0")] = None
-    """Steps of learning, one view each: photographs, or renders of SCENE without --photos; 0 keeps the fit."""
+    color_steps: Annotated[int | None, readers.WHOLE, hint("300")] = None
+    """Steps of learning, one view each: photographs, or renders of SCENE without --photos, kept if held-out renders
+    gain; 0 keeps the fit."""
 
 
 @dataclass(frozen=True)

@@ -74,8 +74,9 @@ class Prepare:
     ] = Levels()
     sets: MendedSets = MendedSets()
     fit: FilteredFit = FilteredFit()
-    color_steps: Annotated[int | None, readers.WHOLE, hint("300 with --photos, else 0")] = None
-    """Steps of learning, one view each: photographs, or renders of SCENE without --photos; 0 keeps the fit."""
+    color_steps: Annotated[int | None, readers.WHOLE, hint("300")] = None
+    """Steps of learning, one view each: photographs, or renders of SCENE without --photos, kept if held-out renders
+    gain; 0 keeps the fit."""
     meters_per_unit: Annotated[Units, hint("that of SCENE, or not known")] = None
     """Length of a scene unit in meters, kept in the package."""
     seed: Seed = 0

@@ -199,12 +199,13 @@ def learned_rows(learned: dict[str, Any] | None) -> list[tuple[str, str]]:
     if not learned or not learned["psnr"]:
         return []
     named = {name: f"{each['mean']:.2f}" for name, each in learned["psnr"].items()}
-    text = f"{named['learned']} dB after learning, {named['fitted']} fitted, {named['sh']} by SH"
+    text = f"{named['learned']} dB after learning, {named['fitted']} fitted"
+    text += f", {named['sh']} by SH" if "sh" in named else ""
     return [(f"{learned['held_out']} held-out {learned['from']}", text)]
 
 
 def _steps(command: Color) -> int:
-    """Return the number of steps of learning."""
+    """Return the number of steps of learning that the options alone ask for."""
     from gsvis.prepare.learned_colors import steps_of_learning
 
     return steps_of_learning(command.learning.color_steps, photos=command.learning.photos is not None)
@@ -212,13 +213,14 @@ def _steps(command: Color) -> int:
 
 def _lesson(command: Color, plan: _Plan, status: Status) -> Lesson | None:
     """Return the images that colors learn from; None if they do not learn."""
-    steps = _steps(command)
-    if not steps:
-        return None
-    from gsvis.prepare.learned_colors import draw_lesson, read_lesson
+    from gsvis.prepare.learned_colors import draw_lesson, read_lesson, renders_teach, steps_of_learning
 
     learning = command.learning
     g = plan.source.gaussians
+    photos = learning.photos is not None
+    steps = steps_of_learning(learning.color_steps, photos=photos, renders=plan.space is not None and renders_teach(g))
+    if not steps:
+        return None
     seed = command.compared.seed
     if learning.photos is not None:
         lesson, remarks = read_lesson(

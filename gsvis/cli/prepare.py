@@ -190,7 +190,7 @@ def _check_training(command: Prepare) -> None:
 
 
 def _steps(command: Prepare) -> int:
-    """Return the number of steps of learning colors."""
+    """Return the number of steps of learning colors that the options alone ask for."""
     from gsvis.prepare.learned_colors import steps_of_learning
 
     return steps_of_learning(command.color_steps, photos=command.training.photos is not None)

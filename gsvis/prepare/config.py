@@ -41,7 +41,8 @@ class PrepareConfig:
         sets: Options of the visible sets.
         colors: Options of the colors.
         color_steps: Steps of learning colors, after the fit, from photos or else from renders; 0 keeps the fit. None
-            is 300 with photos and 0 without.
+            is 300; 0 without photos for a scene whose colors do not depend on direction, for a tile of a world, and
+            where torch is missing.
         epsilon: Largest change of an RGB channel, in (0, 1], by a term that may be left out of a cell. None finds it by
             the staircase, see `calibrate_by_flip`.
         cell_terms: "computed": the active terms of a cell are computed when they are needed. "stored": the package

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis._extras import has
 from gsvis.color.srbf import SrbfColors
 from gsvis.progress import Progress, silent
 from gsvis.render.metrics import psnr
@@ -26,14 +27,23 @@ from gsvis.train.images import PosedImages, render_views
 if TYPE_CHECKING:
     from gsvis.train.colors import LearnConfig
 
-__all__ = ["RENDERS", "Learned", "Lesson", "draw_lesson", "learn_lesson", "read_lesson", "steps_of_learning"]
+__all__ = [
+    "RENDERS",
+    "Learned",
+    "Lesson",
+    "draw_lesson",
+    "learn_lesson",
+    "read_lesson",
+    "renders_teach",
+    "steps_of_learning",
+]
 
 F64 = NDArray[np.float64]
 
 RENDERS = ViewSampling(256, 320, 240, stream=3)
 """Views to learn from without photographs; streams 0 to 2 are those of the fit, of held-out views and of epsilon."""
 
-_STEPS = 300  # with photographs, unless somebody asks for another number
+_STEPS = 300  # unless somebody asks for another number
 _GAINED = 0.05  # dB in the mean below which learning is said to have gained nothing
 
 
@@ -62,8 +72,9 @@ class Learned:
         named: What the images are.
         views: Number of images learned from.
         config: How it was learned, as plain values.
-        psnr: dB at most 100 of each held-out image, by what was drawn: "sh" for the scene with its own colors,
-            "fitted" for the colors before, "learned" for those after, both rounded. Empty without held-out images.
+        psnr: dB at most 100 of each held-out image, by what was drawn: "fitted" for the colors before, "learned" for
+            those after, both rounded, and with photographs "sh" for the scene with its own colors. Empty without
+            held-out images.
     """
 
     named: str
@@ -78,22 +89,44 @@ class Learned:
         return {"from": self.named, "views": self.views, "held_out": held_out, "config": self.config, "psnr": found}
 
     @property
+    def gain(self) -> float:
+        """Change of held-out images in the mean, dB; 0 without any."""
+        return float(self.psnr["learned"].mean() - self.psnr["fitted"].mean()) if self.psnr else 0.0
+
+    @property
     def remark(self) -> str | None:
         """A sentence for the user if nothing was gained, else None."""
         if not self.psnr:
             return None
-        gain = float(self.psnr["learned"].mean() - self.psnr["fitted"].mean())
+        gain = self.gain
         if gain >= _GAINED:
             return None
+        if self.named == "renders":
+            kept = " They keep the fit." if gain < 0.0 else ""
+            return f"Learning from renders changed held-out views by {gain:+.2f} dB.{kept}"
         wrong = "; check that they show this scene, in its frame" if self.named == "photographs" else ""
         return f"Learning from {self.named} changed held-out views by {gain:+.2f} dB{wrong}."
 
 
-def steps_of_learning(asked: int | None, *, photos: bool) -> int:
-    """Return the steps of learning colors: as asked, or else 300 with photographs and 0 without."""
+def steps_of_learning(asked: int | None, *, photos: bool, renders: bool = False) -> int:
+    """Return the steps of learning colors: as asked, or else 300 where something teaches and 0 elsewhere.
+
+    Args:
+        asked: The number that somebody asked for; None for nobody.
+        photos: Whether there are photographs.
+        renders: Whether renders of the scene teach; see `renders_teach`.
+    """
     if asked is not None:
         return asked
-    return _STEPS if photos else 0
+    return _STEPS if photos or renders else 0
+
+
+def renders_teach(g: Gaussians) -> bool:
+    """Return whether colors are learned from renders of a scene unless somebody says otherwise.
+
+    Without view dependence base colors are exact. Learning needs torch.
+    """
+    return g.sh_degree > 0 and len(g) > 0 and has("torch")
 
 
 def read_lesson(
@@ -169,7 +202,8 @@ def learn_lesson(
         progress: Called with stages "learn" and "measure".
 
     Returns:
-        The learned colors, not rounded, and what was gained.
+        The learned colors, not rounded, and what was gained. Where learning from renders made held-out images worse,
+        the colors as they were.
     """
     from gsvis.train.colors import learn_colors
 
@@ -179,15 +213,15 @@ def learn_lesson(
     if held_out is None:
         return learned, about
     whole = np.ones(len(g), bool) if shown is None else shown
-    drawn: dict[str, SrbfColors | None] = {
-        "sh": None,
-        "fitted": to_records(colors)[whole],
-        "learned": to_records(learned)[whole],
-    }
+    drawn: dict[str, SrbfColors | None] = {} if lesson.named == "renders" else {"sh": None}
+    drawn["fitted"] = to_records(colors)[whole]
+    drawn["learned"] = to_records(learned)[whole]
     progress("measure", 0, len(drawn))
     for done, (name, each) in enumerate(drawn.items(), 1):
         about.psnr[name] = _psnr_of(g[whole], each, held_out)
         progress("measure", done, len(drawn))
+    if lesson.named == "renders" and about.gain < 0.0:
+        return colors, about
     return learned, about
 
 

@@ -39,7 +39,14 @@ from gsvis.prepare.calibration import OBSERVED, Epsilon, calibrate_by_flip
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.judged import judge_tile, small_views
-from gsvis.prepare.learned_colors import Learned, draw_lesson, learn_lesson, read_lesson, steps_of_learning
+from gsvis.prepare.learned_colors import (
+    Learned,
+    draw_lesson,
+    learn_lesson,
+    read_lesson,
+    renders_teach,
+    steps_of_learning,
+)
 from gsvis.prepare.levels import make_levels
 from gsvis.prepare.memory import left_for_sets
 from gsvis.prepare.surroundings import Surroundings
@@ -279,8 +286,9 @@ class Stages:
 
     @property
     def color_steps(self) -> int:
-        """Steps of learning colors after the fit; 0 for none."""
-        return steps_of_learning(self.config.color_steps, photos=self.photos is not None)
+        """Steps of learning colors after the fit; 0 for none. A tile, which does not see its surroundings, has none."""
+        renders = self.around is None and renders_teach(self.highest)
+        return steps_of_learning(self.config.color_steps, photos=self.photos is not None, renders=renders)
 
     def colors_name(self, levels: Levels, store: VisibilityStore) -> str:
         """Return the name of the file of colors."""

@@ -224,7 +224,9 @@ def make_tile_levels(params: Facts, given: Given, out: Path, work: Path) -> Fact
 def config_of(value: dict[str, Any]) -> PrepareConfig:
     """Return the options of a preparation from `PrepareConfig.as_dict`, as JSON keeps them."""
     colors = value["colors"]
-    fit = {**colors["fit"], "decays": tuple(colors["fit"]["decays"])}
+    fit = dict(colors["fit"])
+    if fit["decays"] is not None:
+        fit["decays"] = tuple(fit["decays"])
     return PrepareConfig(
         levels=None if value["levels"] is None else LevelsConfig(**value["levels"]),
         level_views=ViewSampling(**value["level_views"]),
@@ -235,6 +237,7 @@ def config_of(value: dict[str, Any]) -> PrepareConfig:
         colors=ColorConfig(
             FitConfig(**fit), ViewSampling(**colors["views"]), colors["rays_per_face"], colors["directions"]
         ),
+        color_steps=0,
         epsilon=value["epsilon"],
         cost_views=ViewSampling(**value["cost_views"]),
         fidelity_views=ViewSampling(**value["fidelity_views"]),

@@ -26,7 +26,8 @@ from tests.cli.halted import Halted
 from tests.train.photo_files import write_photos
 
 Capture = pytest.CaptureFixture[str]
-QUICK = ["--views", "4", "--held-out", "2", "--width", "48", "--height", "36", "--max-terms", "2", "--mean-terms", "1"]
+LEARN = ["--views", "4", "--held-out", "2", "--width", "48", "--height", "36", "--max-terms", "2", "--mean-terms", "1"]
+QUICK = [*LEARN, "--color-steps", "0"]
 
 
 @pytest.fixture(scope="module")
@@ -139,11 +140,11 @@ def few_renders(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_colors_learn_from_renders(ply: Path, tmp_path: Path, capsys: Capture, few_renders: None) -> None:
-    words = [ply, "-o", tmp_path / "a.arrow", *QUICK, "--color-steps", "20"]
+    words = [ply, "-o", tmp_path / "a.arrow", *LEARN, "--color-steps", "20"]
     found = document(capsys, *words)
     learned = found["learned"]
     assert (learned["from"], learned["views"], learned["held_out"]) == ("renders", 7, 2)
-    assert learned["psnr"]["sh"]["mean"] == 100.0  # the scene itself
+    assert set(learned["psnr"]) == {"fitted", "learned"}
     assert learned["psnr"]["learned"]["mean"] != learned["psnr"]["fitted"]["mean"]
     assert srbf_info(tmp_path / "a.arrow").provenance["learned"]["config"]["steps"] == 20
     assert document(capsys, *words[:2], tmp_path / "b.arrow", *words[3:])["learned"] == learned
@@ -151,10 +152,20 @@ def test_colors_learn_from_renders(ply: Path, tmp_path: Path, capsys: Capture, f
     assert document(capsys, ply, "-o", tmp_path / "c.arrow", *QUICK)["learned"] is None
 
 
+def test_colors_learn_unless_told_otherwise(
+    ply: Path, tmp_path: Path, capsys: Capture, few_renders: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from gsvis.prepare import learned_colors
+
+    monkeypatch.setattr(learned_colors, "_STEPS", 2)
+    found = document(capsys, ply, "-o", tmp_path / "a.arrow", *LEARN)
+    assert found["learned"]["config"]["steps"] == 2
+
+
 def test_colors_learn_from_photographs(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     photos = write_photos(tmp_path / "photos")
     out = tmp_path / "a.arrow"
-    found = document(capsys, ply, "-o", out, "--photos", photos, "--color-steps", "10", *QUICK)
+    found = document(capsys, ply, "-o", out, "--photos", photos, "--color-steps", "10", *LEARN)
     learned = found["learned"]
     assert (learned["from"], learned["views"], learned["held_out"]) == ("photographs", 8, 2)
     assert set(learned["psnr"]) == {"sh", "fitted", "learned"}

@@ -44,6 +44,7 @@ CONFIG = PrepareConfig(
     cost_views=replace(FEW, stream=3),
     fidelity_views=replace(FEW, stream=5),
     meters_per_unit=0.5,
+    color_steps=0,
 )
 STAGES = ["levels", "sets", "colors", "cost", "fidelity", "package"]
 
