@@ -199,6 +199,7 @@ PAGES = {
             "walls",
             "first_views",
             "static_site",
+            "bare_site",
             "streamed_sog",
             "streamed_sog_nika",
             "level_choice",

@@ -101,7 +101,8 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[View, Path, str, list[s
         where, visit = settle_visit(command.where, source, walk, status, quiet=command.output.json)
         command = replace(command, where=where)
         x, y, z = visit.up.tolist()
-        shown = StaticOptions(title_of(command.scene, source.lod), (x, y, z), poses=visit.starts)
+        name = title_of(command.scene, source.lod)
+        shown = StaticOptions(name, (x, y, z), poses=visit.starts, most_sets=None)
         write_static(folder, source.whole, shown, progress=status)
         later = None
         if visit.space is not None:

@@ -1,19 +1,19 @@
 """Round a bare scene, Gaussians that were never prepared, of SH degree 0 to 3, to records.
 
-Geometry and the constant color become the records of a package. Higher harmonics become bytes between a low and a high
-end for each coefficient. Ends hold all but a few values in ten thousand and make zero exact; the rest is clipped.
+Geometry and the constant color become the records of a package, higher harmonics a palette (`gsvis.export.harmonics`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.color import grids as tables
 from gsvis.color.records import PRECISIONS, Grids
+from gsvis.export.harmonics import Harmonics, Palette
+from gsvis.export.lights import areas_of
 from gsvis.package.codec import build_chunks, encode_records
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RecordLayout, TermLayout
@@ -22,65 +22,10 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.sh import SH_C0
 
-__all__ = ["BareScene", "Harmonics", "encode_scene"]
+__all__ = ["BareScene", "encode_scene"]
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
-I64 = NDArray[np.int64]
-
-ZERO = 128
-"""The byte that stands for 0."""
-
-_SAMPLE = 1 << 16  # Gaussians from which the ends of coefficients are found
-_TAIL = 2e-4  # share of these that lie beyond the ends
-_ROWS = 1 << 15
-
-
-@dataclass(frozen=True, eq=False)
-class Harmonics:
-    """Ranges of K coefficients, the same for R, G and B.
-
-    Attributes:
-        degree: 1 to 3.
-        high: (K,) value of byte 255; byte 128 is 0 and byte 0 is -128/127 of it.
-    """
-
-    degree: int
-    high: F32
-
-    @classmethod
-    def from_coefficients(cls, coefficients: F32, degree: int) -> Harmonics:
-        """Return the ranges of coefficients (N, K, 3)."""
-        some = np.abs(coefficients[:: max(1, len(coefficients) // _SAMPLE)])
-        high = np.quantile(some, 1.0 - _TAIL, axis=(0, 2), method="higher")
-        return cls(degree, np.maximum(high, 1e-6).astype(np.float32))
-
-    @property
-    def low(self) -> F32:
-        """(K,) value of byte 0."""
-        return np.asarray(self.high.astype(np.float64) * -(ZERO / (255.0 - ZERO)), np.float32)
-
-    def encode(self, coefficients: F32, ids: I64) -> U8:
-        """Return (M, 3 K) uint8, the coefficients (N, K, 3) of ids (M,): for each coefficient R, G, B."""
-        k = len(self.high)
-        out = np.empty((len(ids), k, 3), np.uint8)
-        factors = ((255 - ZERO) / self.high)[:, None]
-        for start in range(0, len(ids), _ROWS):
-            some = coefficients[ids[start : start + _ROWS]] * factors
-            np.rint(some, out=some)
-            out[start : start + _ROWS] = np.clip(some + np.float32(ZERO), 0, 255)
-        return out.reshape(len(ids), 3 * k)
-
-    def decode(self, data: U8) -> F32:
-        """Return (M, K, 3) coefficients of bytes (M, 3 K)."""
-        low = self.low.astype(np.float64)
-        high = self.high.astype(np.float64)
-        places = data.reshape(len(data), len(self.high), 3) / 255.0
-        return np.asarray(low[:, None] + places * (high - low)[:, None], np.float32)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return degree and ends, ready for JSON."""
-        return {"degree": self.degree, "low": self.low.tolist(), "high": self.high.tolist()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,17 +34,21 @@ class BareScene:
 
     Attributes:
         contents: The records, in the order of a package.
-        harmonics: (N, H) bytes of harmonics; H is 0 in degree 0.
         ranges: Ranges of the higher coefficients; None in degree 0.
+        palette: Sets of higher coefficients; None in degree 0.
     """
 
     contents: Contents
-    harmonics: U8
     ranges: Harmonics | None
+    palette: Palette | None
 
 
-def encode_scene(scene: Levels | Gaussians) -> BareScene:
+def encode_scene(scene: Levels | Gaussians, most_sets: int | None = None) -> BareScene:
     """Return the records of a scene, or of its highest level.
+
+    Args:
+        scene: Gaussians or levels.
+        most_sets: Largest number of sets of higher coefficients; None gives each Gaussian its own.
 
     Raises:
         ValueError: If it is empty.
@@ -127,9 +76,10 @@ def encode_scene(scene: Levels | Gaussians) -> BareScene:
         g.facts,
     )
     if not union.sh_degree:
-        return BareScene(contents, np.zeros((len(g), 0), np.uint8), None)
+        return BareScene(contents, None, None)
     ranges = Harmonics.from_coefficients(union.shN, union.sh_degree)
-    return BareScene(contents, ranges.encode(union.shN, ids), ranges)
+    palette = Palette.from_scene(some.shN, areas_of(g) * g.opacities, ranges, most_sets)
+    return BareScene(contents, ranges, palette)
 
 
 def _base_colors(sh0: F32) -> tuple[Grids, U8]:

@@ -1,7 +1,7 @@
 """Encode pieces of a static scene: Gaussians and terms that a page decodes without any other file.
 
 A piece has a head of 24 bytes, compressed columns (the rows of the chunks, which of their Gaussians are here, owners of
-terms, harmonics), and records and terms coded as on the wire. docs/static.md describes it to the byte.
+terms, labels of harmonics), and records and terms coded as on the wire. docs/static.md describes it to the byte.
 """
 
 from __future__ import annotations
@@ -59,12 +59,14 @@ class PieceCoder:
     Attributes:
         contents: The scene, with the ids of the static form.
         coding: The code of its records.
-        harmonics: (N, H) bytes of harmonics of a bare scene; H is 0 elsewhere.
+        labels: (N,) the set of higher coefficients of each Gaussian of a bare scene; None elsewhere.
+        label_bytes: Bytes that name a set.
     """
 
     contents: Contents
     coding: Coding
-    harmonics: U8
+    labels: I64 | None = None
+    label_bytes: int = 0
 
     def encode(self, ids: I64, terms: I64 | None = None, known: NDArray[np.bool_] | None = None) -> bytes:
         """Return a piece.
@@ -81,7 +83,8 @@ class PieceCoder:
         columns = [*self._chunk_columns(chunks, counts, known), *self._member_columns(ids, of, counts)]
         owners = self._owners[some]
         columns += [column(differences(owners), 4), column(self._skips(some, owners), 1)]
-        columns.append(np.ascontiguousarray(self.harmonics[ids].T).tobytes())
+        if self.labels is not None:
+            columns.append(column(self.labels[ids], self.label_bytes))
         head = compress(*columns)
         records = self.coding.encode_some(self._fields, ids.astype(np.int32), of, self._chunks).tobytes()
         rows = self.contents.term_records[some]

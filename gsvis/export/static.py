@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.export.bare import encode_scene
+from gsvis.export.bare import BareScene, encode_scene
 from gsvis.export.columns import compress
 from gsvis.export.first import FirstViews
+from gsvis.export.harmonics import Palette, label_bytes
 from gsvis.export.index import Spheres, index_of
 from gsvis.export.lights import Lights, areas_of
 from gsvis.export.parts import divide_in_space
@@ -35,6 +36,7 @@ from gsvis.export.start import Start, start_poses
 from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.fields import parse_json
 from gsvis.files.limits import digest_of, read_whole
+from gsvis.io.sog_writer import report_palette_loss
 from gsvis.package.layout import RECORD_BYTES, TermLayout
 from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
@@ -61,11 +63,11 @@ __all__ = [
 I64 = NDArray[np.int64]
 
 FORMAT = "gsvis-static"
-VERSION = 5
+VERSION = 6
 SCENE = "scene.json"
 FILES = ("index", "grid", "facts", "walk")
 """Files of a scene besides `scene.json`."""
-FAMILIES = ("row", "part", "terms", "first")
+FAMILIES = ("row", "part", "terms", "first", "sets")
 """Kinds of files that are numbered."""
 
 _BEFORE = ("cells", "records", "blocks", "harmonics", "replaced")  # files of versions 2 and 3
@@ -102,6 +104,8 @@ class StaticOptions:
         poses: Start views, the first one initially; None takes those of the package, or finds some.
         space: Where eyes may be in a bare scene, so that visitors can walk; None leaves walking to chance.
         most_walk: Most bytes of what is known of walking; larger ones are left out.
+        most_sets: Most sets of higher SH coefficients that the Gaussians of a bare scene share; None gives each its
+            own, which is exact to the byte, takes no time, and many times the bytes.
 
     Raises:
         ValueError: If a number is out of its range.
@@ -113,12 +117,15 @@ class StaticOptions:
     poses: tuple[Start, ...] | None = None
     space: NavigableSpace | None = None
     most_walk: int = 1 << 26
+    most_sets: int | None = 1 << 16
 
     def __post_init__(self) -> None:
         if self.up is not None:
             _check.unit_vectors("up", np.reshape(np.asarray(self.up, np.float64), (1, -1)))
         if self.meters_per_unit is not None and not 0.0 <= self.meters_per_unit < np.inf:
             raise ValueError(f"meters_per_unit: expected a finite number >= 0, got {self.meters_per_unit!r}")
+        if self.most_sets is not None:
+            _check.positive_int("most_sets", self.most_sets)
 
 
 @dataclass(frozen=True)
@@ -177,7 +184,7 @@ def write_static(
     if isinstance(scene, Package):
         content = _package_content(scene, said, progress)
     else:
-        content = _bare_content(scene, said, progress)
+        content = _bare_content(target, scene, said, progress)
     target.mkdir(parents=True, exist_ok=True)
     remove_all_partials(target)
     counts = np.array([len(part) for part in content.parts])
@@ -294,7 +301,7 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
     parts = [ids[part] for part in divide_in_space(g.means[ids].astype(np.float64), gains[ids])]
     placing = Placing.from_parts(parts, contents.chunks, len(g))
     placed = place(contents, placing.order)
-    coder = PieceCoder(placed, Coding.from_contents(placed), np.zeros((len(placed), 0), np.uint8))
+    coder = PieceCoder(placed, Coding.from_contents(placed))
     progress("order", 1, 1)
     views = tuple(Start.from_dict(view) for view in package.manifest.views)
     grid = None if lights is None else lights.grid
@@ -342,27 +349,48 @@ def _walk(g: Gaussians, cells: CellGrid, meters_per_unit: float, most: int) -> d
     return {"walk": packed} if 0 < len(packed) <= most else {}
 
 
-def _bare_content(scene: Levels | Gaussians, options: StaticOptions, progress: Progress) -> _Content:
-    """Return the content of the static form of a bare scene: its highest level."""
+def _bare_content(target: Path, scene: Levels | Gaussians, options: StaticOptions, progress: Progress) -> _Content:
+    """Return the content of the static form of a bare scene: its highest level; log what sharing harmonics costs."""
     progress("order", 0, 1)
-    found = encode_scene(scene)
+    found = encode_scene(scene, options.most_sets)
     g = found.contents.gaussians()
     gains = areas_of(g) * g.opacities
     parts = divide_in_space(g.means.astype(np.float64), gains)
     placing = Placing.from_parts(parts, found.contents.chunks, len(g))
     placed = place(found.contents, placing.order)
-    coder = PieceCoder(placed, Coding.from_contents(placed), found.harmonics[placing.order])
+    labels, width = _labels_of(found.palette, placing)
+    if found.palette is not None:
+        report_palette_loss(target, len(g), len(found.palette.sets), found.palette.error)
+    coder = PieceCoder(placed, Coding.from_contents(placed), labels, width)
     progress("order", 1, 1)
     cells = rows_of_scene(gains, placing.part_of)
     pieces = {"part": [coder.encode(placing.of_part(k)) for k in range(len(parts))]}
+    if found.palette is not None:
+        pieces["sets"] = found.palette.blocks()
     bounds = g.bounds(0.9)
-    ranges = None if found.ranges is None else found.ranges.as_dict()
+    ranges = _harmonics_of(found, pieces.get("sets", []))
     poses = options.poses or start_poses(bounds, None, options.up or (0.0, 0.0, 1.0))
     info = _Info(bounds, ranges, poses=poses)
     files = {}
     if options.space is not None:
         files = _walk(g, CellGrid.over(options.space), options.meters_per_unit or 0.0, options.most_walk)
     return _Content(coder, parts, cells, files, pieces, Spheres.from_parts(parts, g.means, gains), info)
+
+
+def _labels_of(palette: Palette | None, placing: Placing) -> tuple[I64 | None, int]:
+    """Return the sets of higher coefficients of the Gaussians of the static form, and the bytes that name one."""
+    if palette is None:
+        return None, 0
+    return palette.labels[placing.order], label_bytes(len(palette.sets))
+
+
+def _harmonics_of(scene: BareScene, blocks: list[bytes]) -> dict[str, Any] | None:
+    """Return what `scene.json` says of higher coefficients; None in degree 0."""
+    if scene.ranges is None or scene.palette is None:
+        return None
+    worth = [float(f"{value:.4g}") for value in scene.palette.worth.tolist()]
+    palette = {"sets": len(scene.palette.sets), "bytes": [len(block) for block in blocks], "worth": worth}
+    return scene.ranges.as_dict() | palette
 
 
 def _keep(folder: Path, kind: str, contents: list[bytes], numbered: bool) -> StaticFile:

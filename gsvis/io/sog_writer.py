@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from gsvis.files.atomic import atomic_path
 from gsvis.io._build import smallest_three
 from gsvis.io._origin import size_of_gaussians
-from gsvis.io._quantize import codebook_of, nearest_entry, palette_of
 from gsvis.io._webp import MAX_PIXELS, encode_plane
 from gsvis.io.facts import KEY, facts_to_json
 from gsvis.io.losses import report_loss, report_note
+from gsvis.io.quantize import codebook_of, nearest_entry, palette_of
 from gsvis.io.sog import ANTIALIASED
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.symlog import symlog

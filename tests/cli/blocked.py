@@ -1,7 +1,5 @@
-"""Run commands in one process in which some packages cannot be imported: `python blocked.py SPACES PACKAGE...`.
+"""Run commands in one process in which some packages cannot be imported: `python blocked.py PACKAGE...`.
 
-SPACES is a folder in which processes share the spaces of scenes, or "": then this one finds them by itself, and draws
-them.
 Reads a JSON list of commands, each a list of words, from standard input. Writes for each its exit code and what it said
 on stderr to standard output, as JSON.
 """
@@ -14,7 +12,6 @@ from collections.abc import Sequence
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from importlib.machinery import ModuleSpec
 from io import StringIO
-from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -55,8 +52,7 @@ def make_quick() -> None:
 
 
 def main() -> None:
-    folder, *packages = sys.argv[1:]
-    sys.meta_path.insert(0, Blocked(packages))
+    sys.meta_path.insert(0, Blocked(sys.argv[1:]))
     make_quick()
     from gsvis._extras import has
     from gsvis.cli import main as run
@@ -64,20 +60,18 @@ def main() -> None:
     from tests.few_views import take_few_views
     from tests.known_spaces import coarse_spaces, remember_spaces
     from tests.one_compiler import compile_once
-    from tests.quick_reports import draw_no_places, take_few_judges
+    from tests.quick_reports import take_few_judges
 
     compile_once()  # tests beside this one compile the same kernels
     found = []
     patch = pytest.MonkeyPatch()
     take_few_judges(patch)
-    if folder:
-        draw_no_places(patch)
     if has("matplotlib"):
         from gsvis.report import theme
 
         theme._DPI = 40
     plots = draw_bare_plots() if has("matplotlib") else nullcontext()
-    with remember_spaces(Path(folder) if folder else None), coarse_spaces(), take_few_views(), plots:
+    with remember_spaces(None), coarse_spaces(), take_few_views(), plots:
         for words in json.load(sys.stdin):
             out, err = StringIO(), StringIO()
             with redirect_stdout(out), redirect_stderr(err):

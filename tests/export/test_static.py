@@ -19,7 +19,7 @@ from gsvis.color.activation import contributions
 from gsvis.color.storage import grids_of
 from gsvis.errors import FormatError
 from gsvis.export import StaticOptions, write_static
-from gsvis.export.bare import Harmonics
+from gsvis.export.harmonics import Harmonics, label_bytes
 from gsvis.export.lights import Lights
 from gsvis.export.parts import divide_in_space
 from gsvis.export.start import Start, start_poses
@@ -78,6 +78,7 @@ class Reader:
         assert columns.next(4).tolist() == [len(data) for data in self.data["part"]]
         assert columns.next(4).tolist() == [len(data) for data in self.data.get("terms", [b""] * len(self.counts))]
         assert columns.at == len(columns.data)
+        self.sets = self.read_sets()
         self.chunks: dict[int, tuple[Any, ...]] = {}  # rows by the first id
         self.pieces = [self.piece(data) for data in self.data["part"]]
 
@@ -109,9 +110,7 @@ class Reader:
         numbers = over.copy()
         for k in range(1, m):
             numbers[k] += numbers[k - 1] + 1 if owners[k] == owners[k - 1] else 0
-        degree = (self.scene["harmonics"] or {"degree": 0})["degree"]
-        width = 3 * ((degree + 1) ** 2 - 1)
-        harmonics = np.stack([columns.next(1, g) for _ in range(width)], axis=1) if width else np.zeros((g, 0))
+        labels = columns.next(label_bytes(len(self.sets)), g) if len(self.sets) else np.zeros(g, int)
         assert columns.at == len(columns.data)
         rows = [self.chunks[start] for start in starts.tolist()]
         of = np.repeat(np.arange(c, dtype=np.int32), counts)
@@ -124,11 +123,31 @@ class Reader:
         geometry = decode_records(found, table, RecordLayout.from_variant(self.scene["colors"]["variant"]), chunks=of)
         return {
             "ids": ids, "records": found, "means": geometry.means, "owners": owners, "numbers": numbers,
-            "terms": coded, "harmonics": harmonics.astype(np.uint8),
+            "terms": coded, "labels": labels,
         }  # fmt: skip
 
+    def read_sets(self) -> np.ndarray:
+        """The sets of harmonics, each with the bytes of all coefficients."""
+        said = self.scene["harmonics"]
+        if said is None:
+            return np.zeros((0, 0), np.uint8)
+        width = 3 * ((said["degree"] + 1) ** 2 - 1)
+        apart = [np.frombuffer(zlib.decompress(data), np.uint8).reshape(width, -1).T for data in self.data["sets"]]
+        blocks = [(128 + np.cumsum(each, axis=0, dtype=int)).astype(np.uint8) for each in apart]
+        assert [len(data) for data in self.data["sets"]] == said["bytes"]
+        assert all(len(block) == 1024 for block in blocks[:-1])
+        found = np.concatenate(blocks)
+        assert len(found) == said["sets"]
+        assert len(blocks) == len(said["worth"])
+        return found
+
+    def harmonics(self) -> np.ndarray:
+        """(N, 3 K) the harmonics of all Gaussians."""
+        found: np.ndarray = self.sets[self.by_id("labels")]
+        return found
+
     def by_id(self, key: str) -> np.ndarray:
-        """Records, means or harmonics of all Gaussians."""
+        """Records, means or labels of all Gaussians."""
         found = np.concatenate([piece[key] for piece in self.pieces])
         out = np.empty_like(found)
         out[np.concatenate([piece["ids"] for piece in self.pieces])] = found
@@ -370,7 +389,7 @@ def test_a_bare_scene_reads_back_as_what_it_was(degree: int, tmp_path: Path) -> 
         assert read.scene["harmonics"] is None
         return
     count = (degree + 1) ** 2 - 1
-    by_id = read.by_id("harmonics")
+    by_id = read.harmonics()
     low, high = (np.array(read.scene["harmonics"][key]) for key in ("low", "high"))
     values = low[:, None] + by_id.reshape(900, count, 3) / 255 * (high - low)[:, None]
     exact = np.clip(g.shN[pairs], low[:, None], high[:, None])
@@ -383,7 +402,7 @@ def test_zero_harmonics_stay_zero_and_ends_hold_all_but_a_few() -> None:
     values[:, 1] = 0.0
     values[0, 0, 0] = 1e6  # one that is out of reach
     made = Harmonics.from_coefficients(values, 1)
-    back = made.decode(made.encode(values, np.arange(5000)))
+    back = made.decode(made.encode(values))
     assert np.abs(back[:, 1]).max() < 1e-12
     assert made.high[0] < 100.0
     assert np.abs(back[1:, 2] - np.clip(values[1:, 2], made.low[2], made.high[2])).max() < made.high[2] / 250
@@ -415,7 +434,7 @@ def test_the_same_scene_gives_the_same_files_and_a_new_one_replaces_the_old(tmp_
     assert damaged.read_bytes() == files[damaged.name]
     write_static(tmp_path / "a", g[:200])
     assert len(Reader(tmp_path / "a").ids) == 200
-    assert len(list((tmp_path / "a").iterdir())) == 5
+    assert len(list((tmp_path / "a").iterdir())) == 6
 
 
 def test_a_folder_of_something_else_and_an_empty_scene_are_refused(tmp_path: Path) -> None:

@@ -48,14 +48,14 @@ def spelled(folder: Path, package: Package | None) -> dict[str, Any]:
         said["terms"] = [[term.hex() for term in terms] for terms in read.terms()]
         said["centers"] = package.visibility.grid.centers.round(6).tolist()
     else:
-        said["harmonics"] = [row.tobytes().hex() for row in read.by_id("harmonics")]
+        said["harmonics"] = [row.tobytes().hex() for row in read.harmonics()]
     return said
 
 
 def content(file: tuple[str, str]) -> tuple[str, bytes]:
     """Kind and content of a file, unpacked: other builds of zlib pack the same content to other bytes."""
     kind, data = file[0].split("-")[0], base64.b64decode(file[1])
-    if kind in ("index", "facts"):
+    if kind in ("index", "facts", "sets"):
         return kind, b"" if kind == "index" else zlib.decompress(data)  # sizes of packed files are in the index
     if kind in ("part", "terms"):
         head = int.from_bytes(data[:4], "little")

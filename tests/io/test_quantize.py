@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from gsvis.io._quantize import codebook_of, nearest_entry, palette_of
+from gsvis.io.quantize import codebook_of, nearest_entry, palette_of
 
 
 def test_few_distinct_values_are_kept_exactly() -> None:

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import argparse
+import base64
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -33,7 +34,7 @@ class Batches:
 
     Args:
         contents: What to send.
-        harmonics: Tables and (N, 3 K) uint8 of a bare scene; None for a package.
+        harmonics: Tables and (N, 3 K) uint8 of a bare scene, one set for each Gaussian; None for a package.
     """
 
     def __init__(self, contents: Contents, harmonics: tuple[dict[str, Any], NDArray[np.uint8]] | None = None) -> None:
@@ -65,7 +66,7 @@ class Batches:
             chunkLevels=made.chunk_levels[new], terms=bits.view("<u4"),
             owners=np.repeat(self._slots[ids], counts).astype("<u4"),
             gone=self._slots[np.asarray(gone, np.int64)].astype("<u4"),
-            harmonics=None if self._harmonics is None else self._harmonics[1][ids],
+            labels=None if self._harmonics is None else (len(made) - 1 - ids).astype("<u4"),
         )  # fmt: skip
         self._counts = [first + len(ids), first_row + len(new), first_term + len(own)]
 
@@ -91,9 +92,10 @@ class Batches:
             "harmonics": None if self._harmonics is None else self._harmonics[0], "up": [0, 0, 1],
             "metersPerUnit": 1, "identity": "0" * 64,
         }  # fmt: skip
+        sets = None if self._harmonics is None else base64.b64encode(self._harmonics[1][::-1].tobytes()).decode()
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "scene.bin").write_bytes(self._data)
-        (folder / "scene.json").write_text(json.dumps({"header": header, "batches": self._batches}))
+        (folder / "scene.json").write_text(json.dumps({"header": header, "batches": self._batches, "sets": sets}))
 
 
 def boxes_of(table: ChunkTable) -> NDArray[np.float32]:

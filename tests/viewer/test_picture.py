@@ -51,7 +51,7 @@ def harmonics_of(g: Gaussians) -> tuple[dict[str, Any], NDArray[np.uint8], F32]:
     high = np.abs(g.shN).max(axis=(0, 2))
     low = -high * (128.0 / 127.0)
     places = np.clip(np.rint((g.shN - low[:, None]) / (high - low)[:, None] * 255.0), 0, 255).astype(np.uint8)
-    table = {"degree": g.sh_degree, "low": low.tolist(), "high": high.tolist()}
+    table = {"degree": g.sh_degree, "low": low.tolist(), "high": high.tolist(), "sets": len(g)}
     exact = low[:, None] + places / 255.0 * (high - low)[:, None]
     return table, places.reshape(len(g), -1), exact.astype(np.float32)
 

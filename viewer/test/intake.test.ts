@@ -4,13 +4,13 @@ import { test } from "node:test";
 import { Intake, splitBatch } from "../src/core/intake.ts";
 import type { Batch } from "../src/core/types.ts";
 
-function batchOf(count: number, first: number, harmonics: boolean, terms = 3): Batch {
+function batchOf(count: number, first: number, labels: boolean, terms = 3): Batch {
   const count32 = (n: number, from = 0) => Uint32Array.from({ length: n }, (_, k) => from + k);
   return {
     first, ids: count32(count, 7), records: count32(4 * count), rows: count32(count, 3),
     means: Float32Array.from(count32(3 * count)), firstRow: 5, chunks: Float32Array.from(count32(16)),
     boxes: Float32Array.from(count32(12)), chunkLevels: Uint8Array.of(0, 1, 1, 2), firstTerm: 9, terms: count32(2 * terms),
-    owners: count32(terms, first), gone: count32(2), harmonics: harmonics ? Uint8Array.from(count32(9 * count)) : null,
+    owners: count32(terms, first), gone: count32(2), labels: labels ? count32(count, 4) : null,
   };
 }
 
@@ -31,11 +31,11 @@ function whole(batches: Batch[]): Record<string, number[]> {
 }
 
 test("pieces of a batch are the batch, and share no memory that moves", () => {
-  for (const harmonics of [false, true]) {
+  for (const labels of [false, true]) {
     for (const [count, most, pieces] of [[10, 10, 1], [11, 10, 2], [30, 10, 3], [0, 10, 1]]) {
-      const made = splitBatch(batchOf(count, 100, harmonics), most).map((piece) => piece());
+      const made = splitBatch(batchOf(count, 100, labels), most).map((piece) => piece());
       assert.equal(made.length, pieces);
-      assert.deepEqual(whole(made), whole([batchOf(count, 100, harmonics)]));
+      assert.deepEqual(whole(made), whole([batchOf(count, 100, labels)]));
       const buffers = made.map((batch) => batch.records.buffer);
       assert.equal(new Set(buffers).size, pieces);
       assert.deepEqual(made.slice(0, -1).flatMap((batch) => [...batch.owners, ...batch.gone]), []);

@@ -51,7 +51,7 @@ function randomBatch(count: number, first: number, firstRow: number, seed: numbe
     means: new Float32Array(0), firstRow, chunks, boxes,
     chunkLevels: Uint8Array.from({ length: 2 * chunkCount }, (_, k) => (k >> 1) % 3), firstTerm: 0, terms: none,
     owners: none,
-    gone: none, harmonics: null,
+    gone: none, labels: null,
   };
 }
 

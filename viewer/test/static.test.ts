@@ -12,9 +12,10 @@ import { type ChunkRows, readPiece } from "../src/core/static-pieces.ts";
 import { StaticHost } from "../src/core/static-host.ts";
 import type { Report } from "../src/core/worker-source.ts";
 import { HeldParts, HttpParts } from "../src/core/static-parts.ts";
-import { choose, frustum, HELD, type Holdings, NONE, worthOf } from "../src/core/static-plan.ts";
+import { type Choice, choose, frustum, HELD, type Holdings, NONE, worthOf } from "../src/core/static-plan.ts";
 import { Cells, readRow } from "../src/core/static-cells.ts";
 import { parseScene, type StaticScene } from "../src/core/static-scene.ts";
+import type { SetBlocks } from "../src/core/static-sets.ts";
 import { baseOf } from "../src/core/static-source.ts";
 import { type Clock, REAL_TIME } from "../src/core/traffic.ts";
 import type { Batch, Pose, SourceState, Traffic, View } from "../src/core/types.ts";
@@ -35,6 +36,7 @@ const VECTOR = JSON.parse(
   readFileSync(join(import.meta.dirname, "../../tests/export/vector.json"), "utf8")
 ) as { package: Recorded; bare: Recorded };
 const VIEW: View = { left: 1, right: 1, up: 1, down: 1 };
+const SET = 24; // bytes of a set of harmonics of degree 2
 
 function filesOf(scene: Recorded): Map<string, Buffer> {
   return new Map(Object.entries(scene.files).map(([name, text]) => [name, Buffer.from(text, "base64")]));
@@ -76,6 +78,7 @@ class Client {
   readonly states: SourceState[] = [];
   headers = 0;
   readonly traffic: Traffic[] = [];
+  readonly sets: string[] = []; // of harmonics, in hexadecimal digits
   private listeners: (() => void)[] = [];
   readonly host: StaticHost;
 
@@ -91,8 +94,15 @@ class Client {
     if (report.kind === "batch") this.batches.push(report.batch);
     else if (report.kind === "state") this.states.push(report.state);
     else if (report.kind === "header") this.headers++;
+    else if (report.kind === "sets") this.keep(report.first, report.sets);
     else this.traffic.push(report.traffic);
     for (const listener of this.listeners) listener();
+  }
+
+  private keep(first: number, sets: Uint8Array): void {
+    for (let k = 0; k < sets.length / SET; k++) {
+      this.sets[first + k] = Buffer.from(sets.subarray(SET * k, SET * (k + 1))).toString("hex");
+    }
   }
 
   async until(holds: () => boolean): Promise<void> {
@@ -132,7 +142,7 @@ class Client {
 /**
  * Check that what came is what the scene holds, and that slots, rows and terms are numbered in the order of arrival.
  */
-function check(scene: Recorded, batches: Batch[]): void {
+function check(scene: Recorded, batches: Batch[], sets: string[] = []): void {
   const owned = new Map<number, string[]>(), ids: number[] = [];
   let rows = 0, terms = 0;
   const width = scene.terms === undefined ? 0 : 5;
@@ -151,7 +161,7 @@ function check(scene: Recorded, batches: Batch[]): void {
       }
       assert.ok(batch.rows[i] < rows + batch.chunks.length / 8);
       if (scene.harmonics !== undefined) {
-        assert.equal(Buffer.from(batch.harmonics!.subarray(24 * i, 24 * i + 24)).toString("hex"), scene.harmonics[id]);
+        assert.equal(sets[batch.labels![i]], scene.harmonics[id]);
       }
       ids.push(id);
     }
@@ -305,7 +315,7 @@ test("a bare scene has one cell with everything, and harmonics beside its record
   client.look([0, 0, -3]);
   await client.host.start();
   await client.until(() => client.complete());
-  check(VECTOR.bare, client.batches);
+  check(VECTOR.bare, client.batches, client.sets);
   assert.equal(client.ids.length, 150);
 });
 
@@ -315,7 +325,7 @@ test("a page that holds its files reads them without a server", async (t) => {
   client.look([0, 0, -3]);
   await client.host.start();
   await client.until(() => client.complete());
-  check(VECTOR.bare, client.batches);
+  check(VECTOR.bare, client.batches, client.sets);
 });
 
 test("a missing file is named, and the rest is drawn", async (t) => {
@@ -407,8 +417,8 @@ test("what is no scene, or of a newer version, is said in one line", async (t) =
   const scene = JSON.parse(filesOf(VECTOR.bare).get("scene.json")!.toString()) as Record<string, unknown>;
   const wrong: [string, RegExp][] = [
     ["<html>", /expected JSON/], ["{}", /expected a static scene/],
-    [JSON.stringify({ ...scene, version: 6 }), /version 5, got 6; export/],
-    [JSON.stringify({ ...scene, version: 4 }), /version 5, got 4; export/],
+    [JSON.stringify({ ...scene, version: 7 }), /version 6, got 7; export/],
+    [JSON.stringify({ ...scene, version: 5 }), /version 6, got 5; export/],
     [JSON.stringify({ ...scene, files: { index: { name: "../secret.bin", bytes: 1, count: 1 } } }), /name without a path/],
     [JSON.stringify({ ...scene, parts: 3 }), /files, part: expected 3 files/],
     [JSON.stringify({ ...scene, gaussians: -1 }), /scene.json, gaussians: expected a number from 0 to/],
@@ -480,8 +490,11 @@ test("the plan takes what has most light in view for its bytes and its delay", a
   const position = scene.centers![0] as [number, number, number], pose: Pose = { position, rotation: [1, 0, 0, 0] };
   const worth = worthOf(index, row, said.cells.size, pose, VIEW), planes = frustum(pose, VIEW);
   const held = (): Holdings => ({
-    parts: new Uint8Array(index.count), terms: new Uint8Array(index.count), left: new Float32Array(index.count).fill(1),
+    part: new Uint8Array(index.count), terms: new Uint8Array(index.count), sets: new Uint8Array(0),
+    left: new Float32Array(index.count).fill(1),
   });
+  const pick = (has: Holdings, delay: number, blocks: SetBlocks = { bytes: [], worth: [] }): Choice | null =>
+    choose(index, worth, row.terms, has, delay, blocks);
   for (let p = 0; p < index.count; p++) {
     const [x, y, z, radius] = index.spheres.subarray(4 * p, 4 * p + 4);
     const depth = Math.min(...[0, 4, 8, 12, 16].map((k) => planes[k] * x + planes[k + 1] * y + planes[k + 2] * z + planes[k + 3]));
@@ -489,19 +502,23 @@ test("the plan takes what has most light in view for its bytes and its delay", a
     if (seen !== null) assert.ok(Math.abs(worth[p] - seen * row.gains[p]) <= 1e-5 * row.gains[p]);
     assert.ok(worth[p] <= row.gains[p] * (1 + 1e-5) && worth[p] >= 0.003 * row.gains[p] * (1 - 1e-5));
   }
-  const best = choose(index, worth, row.terms, held(), 0)!.part;
+  const best = pick(held(), 0)!.number;
   for (let p = 0; p < index.count; p++) {
     assert.ok(worth[best] / index.bytes[best] >= worth[p] / index.bytes[p] * (1 - 1e-6));
   }
-  const slow = choose(index, worth, row.terms, held(), 1e9)!.part;
+  const slow = pick(held(), 1e9)!.number;
   for (let p = 0; p < index.count; p++) assert.ok(worth[slow] >= worth[p] * (1 - 1e-4));
   const all = held();
-  all.parts.fill(HELD);
-  assert.ok(choose(index, worth, row.terms, all, 0)!.terms);
+  all.part.fill(HELD);
+  assert.equal(pick(all, 0)!.kind, "terms");
   all.terms.fill(HELD);
-  assert.equal(choose(index, worth, row.terms, all, 0), null);
-  all.parts[2] = NONE;
-  assert.equal(choose(index, worth.fill(0), row.terms, all, 0), null);
+  assert.equal(pick(all, 0), null);
+  all.sets = Uint8Array.of(HELD, NONE, NONE);
+  assert.deepEqual(pick(all, 0, { bytes: [9, 9, 9], worth: [1, 0.1, 0.01] }), { kind: "sets", number: 1 });
+  all.sets.fill(HELD);
+  all.part[2] = NONE;
+  worth.fill(0);
+  assert.equal(pick(all, 0), null);
 });
 
 test("outside of its cell an eye sees also what the cell does not, the more the farther it is", async () => {

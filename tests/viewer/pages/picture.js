@@ -53,6 +53,7 @@ window.test = {
     viewer = new Viewer(canvas, { ...options, source });
     window.problems = [];
     viewer.addEventListener("problem", (event) => window.problems.push(event.detail));
+    if (scene.sets) source.events.sets(0, Uint8Array.from(atob(scene.sets), (letter) => letter.charCodeAt(0)));
     return scene.batches.slice(0, count).map((_, k) => source.send(k));
   },
 

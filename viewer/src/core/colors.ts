@@ -43,17 +43,25 @@ export function packTables(header: Header): PackedTables {
   return { layout, texels, rows };
 }
 
-/** Texels of 16 bytes that the harmonics of one Gaussian take. */
+/** Texels of 16 bytes that a set of harmonics takes. */
 export function harmonicTexels(tables: HarmonicTables): number {
-  return Math.ceil((3 * ((tables.degree + 1) ** 2 - 1)) / 16);
+  return Math.ceil(harmonicBytes(tables) / 16);
 }
 
-/** Return bytes of G Gaussians, 3 K each, as whole texels. */
-export function padHarmonics(bytes: Uint8Array, count: number, tables: HarmonicTables): Uint32Array {
-  const own = 3 * ((tables.degree + 1) ** 2 - 1), padded = 16 * harmonicTexels(tables);
+/** Bytes of a set of harmonics. */
+export function harmonicBytes(tables: HarmonicTables): number {
+  return 3 * ((tables.degree + 1) ** 2 - 1);
+}
+
+/**
+ * Return sets of 3 K bytes each as whole texels, with the upper bit of each byte turned: so a texel that was never
+ * written, all zeros, stands for no change of color.
+ */
+export function packSets(bytes: Uint8Array, tables: HarmonicTables): Uint32Array {
+  const own = harmonicBytes(tables), padded = 16 * harmonicTexels(tables), count = bytes.length / own;
   const out = new Uint8Array(padded * count);
   for (let i = 0, from = 0, to = 0; i < count; i++, to += padded - own) {
-    for (const end = from + own; from < end; from++, to++) out[to] = bytes[from];
+    for (const end = from + own; from < end; from++, to++) out[to] = bytes[from] ^ 128;
   }
   return new Uint32Array(out.buffer);
 }

@@ -11,7 +11,7 @@ const TURN_MS = 6; // of the main thread, until others have a turn
  */
 export function splitBatch(batch: Batch, most = PIECE): (() => Batch)[] {
   const count = batch.ids.length, total = batch.owners.length, pieces: (() => Batch)[] = [], none = new Uint32Array(0);
-  const each = batch.harmonics?.length ?? 0, few = total <= 2 * most;
+  const few = total <= 2 * most;
   if (count <= most && few) return [() => batch];
   const add = (low: number, high: number, from: number, to: number): void => {
     const isFirst = pieces.length === 0;
@@ -23,7 +23,7 @@ export function splitBatch(batch: Batch, most = PIECE): (() => Batch)[] {
       chunkLevels: isFirst ? batch.chunkLevels : new Uint8Array(0),
       firstTerm: batch.firstTerm + from, terms: batch.terms.slice(2 * from, 2 * to), owners: batch.owners.slice(from, to),
       gone: high === count && to === total ? batch.gone : none,
-      harmonics: batch.harmonics && batch.harmonics.slice((low * each) / count, (high * each) / count),
+      labels: batch.labels && batch.labels.slice(low, high),
     }));
   };
   for (let low = 0; low < count; low += most) {

@@ -196,7 +196,7 @@ export class Receiver {
     return {
       first, ids: s.gaussians, records, rows, means, firstRow, chunks: chunks.table.slice(8 * firstRow),
       boxes, chunkLevels,
-      firstTerm, terms, owners: s.owners.map((id) => this.#slots[id] - 1), gone: joined(gone, left), harmonics: null,
+      firstTerm, terms, owners: s.owners.map((id) => this.#slots[id] - 1), gone: joined(gone, left), labels: null,
     };
   }
 }

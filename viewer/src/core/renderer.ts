@@ -202,7 +202,7 @@ export class Renderer {
     this.#bind(program, {
       records: store.records.texture, links: store.links.texture, chunks: store.chunks.texture,
       heads: store.heads.texture,
-      terms: store.terms.texture, harmonics: store.harmonics.texture, tables: store.tableTexture,
+      terms: store.terms.texture, labels: store.labels.texture, sets: store.sets.texture, tables: store.tableTexture,
     });
     const { harmonics, gaussians, levels } = store.header;
     gl.uniform1i(program.at("mode"), PAINTS[paint]);

@@ -228,9 +228,10 @@ function addHarmonics(degree: number): string {
     "0.3731763326 * x.z * (2. * zz - 3. * xx - 3. * yy)", "-0.4570457995 * x.x * (4. * zz - xx - yy)",
     "1.4453057213 * x.z * (xx - yy)", "-0.5900435899 * x.x * (xx - 3. * yy)",
   ];
+  lines.push(`uint label = texelFetch(labels, own, 0).x;`);
   lines.push("float xx = x.x * x.x, yy = x.y * x.y, zz = x.z * x.z;");
   for (let k = 0; k < texels; k++) {
-    lines.push(`uvec4 h${k} = texelFetch(harmonics, texel(${texels}u * place + ${k}u), 0);`);
+    lines.push(`uvec4 h${k} = texelFetch(sets, texel(${texels}u * label + ${k}u), 0) ^ 0x80808080u;`);
   }
   const byte = (k: number) => `(h${k >> 4}.${"xyzw"[(k >> 2) & 3]} >> ${8 * (k & 3)}) & 255u`;
   for (let k = 0; k < count; k++) {
@@ -244,7 +245,7 @@ function addHarmonics(degree: number): string {
 export function colors(layout: ColorLayout): string {
   const count = (layout.degree + 1) ** 2 - 1;
   return HEAD + (layout.hsl ? UNPACK_HSL + HSL_TO_RGB : UNPACK_RGB) + GAUSSIAN + RGB_BASE + `
-uniform usampler2D heads, terms, harmonics;
+uniform usampler2D heads, terms, labels, sets;
 uniform sampler2D tables;
 uniform int mode, levels;
 uniform bool detailed;

@@ -15,7 +15,7 @@ function answer(message: SortAnswer, transfer: Transferable[] = []): void {
 function serve(request: SortRequest): void {
   if (request.kind === "reset") {
     const { colors, harmonics } = request.header;
-    scene = new SortedScene(colors.variant, harmonics ? 3 * ((harmonics.degree + 1) ** 2 - 1) : 0);
+    scene = new SortedScene(colors.variant, harmonics !== null);
     tables = tablesOf(colors);
   } else if (request.kind === "append") scene.append(request.batch);
   else if (request.kind === "sort") {
@@ -30,7 +30,7 @@ function serve(request: SortRequest): void {
     const { number } = request, { batches, slots } = scene.compact();
     answer({ kind: "renumbered", number, slots }, slots ? [slots.buffer as ArrayBuffer] : []);
     for (const batch of batches) {
-      const arrays = [batch.records, batch.rows, batch.ids, batch.chunks, batch.terms, batch.owners, batch.harmonics];
+      const arrays = [batch.records, batch.rows, batch.ids, batch.chunks, batch.terms, batch.owners, batch.labels];
       const owned = new Set<ArrayBuffer>();
       for (const array of arrays) if (array?.byteLength) owned.add(array.buffer as ArrayBuffer);
       answer({ kind: "content", number, batch }, [...owned]);

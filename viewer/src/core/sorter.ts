@@ -57,7 +57,7 @@ export class Sorter {
   append(batch: Batch): void {
     const buffers = [
       batch.records, batch.rows, batch.ids, batch.chunks, batch.boxes, batch.chunkLevels, batch.terms, batch.owners,
-      batch.gone, batch.harmonics,
+      batch.gone, batch.labels,
     ];
     const owned = new Set<ArrayBuffer>();
     for (const array of buffers) if (array && array.buffer.byteLength) owned.add(array.buffer as ArrayBuffer);

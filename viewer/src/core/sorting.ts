@@ -20,7 +20,7 @@ interface Page {
   ids: Uint32Array;
   slots: Uint32Array | null; // null: slots are places
   means: Float32Array | null; // (3 PAGE) centers, where the chunk is logarithmic
-  harmonics: Uint8Array | null;
+  labels: Uint32Array | null;
 }
 
 /** Pixels of a picture, and levels of quality, outside of which nothing is drawn. */
@@ -36,7 +36,7 @@ export interface Region {
 
 export class SortedScene {
   readonly hsl: boolean;
-  readonly harmonicBytes: number; // of one Gaussian
+  readonly hasLabels: boolean; // of sets of harmonics
   readonly #layout: RecordLayout;
   pages: Page[] = [];
   count = 0; // places in use
@@ -65,10 +65,10 @@ export class SortedScene {
   #region: Region | null = null;
   readonly #budget = new Budget();
 
-  constructor(variant: "rgb" | "hsl", harmonicBytes = 0) {
+  constructor(variant: "rgb" | "hsl", hasLabels = false) {
     this.hsl = variant === "hsl";
     this.#layout = recordLayout(variant);
-    this.harmonicBytes = harmonicBytes;
+    this.hasLabels = hasLabels;
   }
 
   /** Add what has arrived; slots need not follow each other, but must rise. */
@@ -85,10 +85,7 @@ export class SortedScene {
       this.#place(page, at, at + take);
       page.ids.set(batch.ids.subarray(from, from + take), at);
       if (page.slots) for (let k = 0; k < take; k++) page.slots[at + k] = batch.first + from + k;
-      if (page.harmonics && batch.harmonics) {
-        const each = this.harmonicBytes;
-        page.harmonics.set(batch.harmonics.subarray(each * from, each * (from + take)), each * at);
-      }
+      if (page.labels && batch.labels) page.labels.set(batch.labels.subarray(from, from + take), at);
       this.count += take;
       from += take;
     }
@@ -101,7 +98,7 @@ export class SortedScene {
     return {
       records: new Uint32Array(4 * PAGE), rows: new Uint32Array(PAGE), ids: new Uint32Array(PAGE),
       slots: this.renumbered ? new Uint32Array(PAGE) : null, means: null,
-      harmonics: this.harmonicBytes ? new Uint8Array(this.harmonicBytes * PAGE) : null,
+      labels: this.hasLabels ? new Uint32Array(PAGE) : null,
     };
   }
 
@@ -351,7 +348,7 @@ export class SortedScene {
     this.#found = this.#done = 0;
     const none = new Uint32Array(0), nothing = { ids: none, means: new Float32Array(0), gone: none };
     const batches: Batch[] = [{
-      ...nothing, first: 0, records: none, rows: none, harmonics: null, firstRow: 0,
+      ...nothing, first: 0, records: none, rows: none, labels: null, firstRow: 0,
       chunks: this.chunks.slice(0, 8 * this.rowCount), boxes: new Float32Array(0),
       chunkLevels: this.levels.slice(0, 2 * this.rowCount),
       firstTerm: 0, terms: none, owners: none,
@@ -362,14 +359,14 @@ export class SortedScene {
       const used = Math.min(PAGE, this.count - k * PAGE);
       batches.push({
         ...rest, first: k * PAGE, records: page.records.slice(0, 4 * used), rows: page.rows.slice(0, used),
-        ids: page.ids.slice(0, used), harmonics: page.harmonics ? page.harmonics.slice(0, this.harmonicBytes * used) : null,
+        ids: page.ids.slice(0, used), labels: page.labels ? page.labels.slice(0, used) : null,
         firstTerm: 0, terms: none, owners: none,
       });
     });
     for (let from = 0; from < this.termCount; from += PAGE) {
       const to = Math.min(from + PAGE, this.termCount), owners = this.owners.slice(from, to);
       batches.push({
-        ...rest, first: this.count, records: none, rows: none, harmonics: null, firstTerm: from,
+        ...rest, first: this.count, records: none, rows: none, labels: null, firstTerm: from,
         terms: this.terms.slice(2 * from, 2 * to), owners,
       });
     }
@@ -388,15 +385,13 @@ export class SortedScene {
       if (from.rows[i] === GONE) continue;
       const at = this.count % PAGE;
       if (at === 0) this.pages.push(this.#newPage());
-      const page = this.pages[this.pages.length - 1], each = this.harmonicBytes;
+      const page = this.pages[this.pages.length - 1];
       for (let k = 0; k < 4; k++) page.records[4 * at + k] = from.records[4 * i + k];
       page.rows[at] = from.rows[i];
       this.#place(page, at, at + 1);
       page.ids[at] = from.ids[i];
       if (page.slots && from.slots) page.slots[at] = from.slots[i];
-      if (page.harmonics && from.harmonics) {
-        page.harmonics.set(from.harmonics.subarray(each * i, each * (i + 1)), each * at);
-      }
+      if (page.labels && from.labels) page.labels[at] = from.labels[i];
       this.count += 1;
     }
     this.rowCount = rows;

@@ -34,12 +34,12 @@ export class Arrivals {
       this.#rowOf.set(start, this.#rowOf.size);
       fresh.push(start);
     });
-    const count = kept.length, each = piece.harmonics === null ? 0 : piece.harmonics.length / piece.ids.length;
+    const count = kept.length;
     const batch: Batch = {
       first, ids: new Uint32Array(count), records: new Uint32Array(4 * count), rows: new Uint32Array(count),
       means: new Float32Array(3 * count), firstRow, chunks: new Float32Array(8 * fresh.length),
       boxes: new Float32Array(6 * fresh.length), chunkLevels: new Uint8Array(2 * fresh.length),
-      harmonics: piece.harmonics === null ? null : new Uint8Array(each * count), ...this.#addTerms(piece),
+      labels: piece.labels === null ? null : new Uint32Array(count), ...this.#addTerms(piece),
       gone: new Uint32Array(0),
     };
     fresh.forEach((start, k) => {
@@ -53,7 +53,7 @@ export class Arrivals {
       batch.rows[at] = this.#rowOf.get(start)!;
       batch.records.set(piece.records.subarray(4 * i, 4 * i + 4), 4 * at);
       decodeMean(batch.records, at, this.rows.get(start)!.row, 0, this.#layout, batch.means);
-      batch.harmonics?.set(piece.harmonics!.subarray(each * i, each * i + each), each * at);
+      if (batch.labels !== null) batch.labels[at] = piece.labels![i];
     });
     return batch;
   }

@@ -96,6 +96,7 @@ export class StaticHost {
         this.post({ kind: "batch", batch });
         this.#meter.touch();
       },
+      sets: (first, sets) => { if (mine()) this.post({ kind: "sets", first, sets }); },
       state: (state) => { if (mine()) this.post({ kind: "state", state }); },
       traffic: () => undefined,
       gone: () => { if (mine()) void this.#renew(); },

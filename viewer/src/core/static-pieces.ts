@@ -2,6 +2,7 @@
 import { hasBox, writeBox } from "./boxes.ts";
 import { readRecords, readTerms } from "./coding.ts";
 import { Columns, damaged, inflate } from "./static-tables.ts";
+import { labelBytes } from "./static-sets.ts";
 import { recordLayout } from "./tables.ts";
 import type { Header } from "./types.ts";
 
@@ -17,7 +18,7 @@ export interface Piece {
   owners: Uint32Array; // (M) ids of Gaussians
   numbers: Uint32Array; // (M) which of the terms of its Gaussian each is
   terms: Uint32Array; // (2 M)
-  harmonics: Uint8Array | null; // as in `Batch`
+  labels: Uint32Array | null; // (G), as in `Batch`
 }
 
 /** Rows of chunks, by the id of the first Gaussian. */
@@ -42,8 +43,7 @@ export async function readPiece(
 ): Promise<Piece> {
   if (data.length < HEAD || pieceBytes(data, where) !== data.length) throw damaged(where);
   const [head, g, c, m, recordBytes] = sizesOf(data), code = header.code!;
-  const each = header.harmonics ? 3 * ((header.harmonics.degree + 1) ** 2 - 1) : 0;
-  const size = CHUNK * c + g + 5 * m + each * g;
+  const width = labelBytes(header.harmonics), size = CHUNK * c + g + 5 * m + width * g;
   if (g > header.gaussians || c > g || m > header.terms) throw damaged(where);
   const packed = await inflate(data.subarray(HEAD, HEAD + head), size, where);
   if (packed.length !== size) throw damaged(where);
@@ -60,16 +60,16 @@ export async function readPiece(
   const owners = Uint32Array.from(columns.sums(4, m)), over = columns.next(1, m);
   const numbers = over.slice();
   for (let i = 1; i < m; i++) if (owners[i] === owners[i - 1]) numbers[i] += numbers[i - 1] + 1;
-  const harmonics = each === 0 ? null : new Uint8Array(each * g);
-  for (let k = 0; k < each; k++) columns.next(1, g).forEach((value, i) => (harmonics![each * i + k] = value));
+  const labels = header.harmonics && Uint32Array.from(columns.next(width, g)), sets = header.harmonics?.sets ?? 0;
   const records = readRecords(
     data.slice(HEAD + head, HEAD + head + recordBytes), ids, chunkOf, { table, bits }, code,
   );
   const terms = readTerms(data.slice(HEAD + head + recordBytes), owners, code);
   const isWrong = at !== g || ids.some((id, i) => id >= header.gaussians || (i > 0 && id <= ids[i - 1])) ||
-    owners.some((id, i) => id >= header.gaussians || (i > 0 && id < owners[i - 1]));
+    owners.some((id, i) => id >= header.gaussians || (i > 0 && id < owners[i - 1])) ||
+    labels?.some((label) => label >= sets);
   if (!records || !terms || isWrong) throw damaged(where);
-  return { ids, records, chunkOf, starts, owners, numbers, terms, harmonics };
+  return { ids, records, chunkOf, starts, owners, numbers, terms, labels };
 }
 
 /** Return the rows of the chunks of a piece; those that it leaves out are taken from `rows`, the others added. */

@@ -4,24 +4,27 @@
 import { rotationOf } from "./camera.ts";
 import type { CellRow } from "./static-cells.ts";
 import type { Index } from "./static-index.ts";
+import type { SetBlocks } from "./static-sets.ts";
 import type { Pose, View } from "./types.ts";
 
 const PERIPHERAL = 0.003; // how what is out of view counts
 const NEAR = 0.25; // sides of a cell that a part is away at least
 const TERMS = 0.003; // what terms are worth whose row does not say it, over the gain of their part
+const SETS = 10; // squared change of color that counts as much as light which is missing
 
 /** States of parts, and of their terms. */
 export const NONE = 0, ASKED = 1, HELD = 2, LOST = 3;
 
-/** A part to fetch, or its terms. */
+/** A part to fetch, the terms of one, or a block of sets of harmonics. */
 export interface Choice {
-  part: number;
-  terms: boolean;
+  kind: "part" | "terms" | "sets";
+  number: number;
 }
 
 export interface Holdings {
-  parts: Uint8Array; // (P) states
+  part: Uint8Array; // (P) states
   terms: Uint8Array; // (P) states
+  sets: Uint8Array; // states of blocks
   left: Float32Array; // (P) share of the light that is not here yet
 }
 
@@ -76,20 +79,25 @@ function insideOf(planes: Float64Array, x: number, y: number, z: number, radius:
 }
 
 /**
- * Return the part, or the terms of a part that is here, with the most worth for its cost; null if nothing of worth is
- * left. A request costs its bytes, and `delay`, the bytes that its connection would carry in a round trip.
+ * Return the part, the terms of a part that is here, or the block of sets with the most worth for its cost; null if
+ * nothing of worth is left. A request costs its bytes, and `delay`, the bytes that its connection would carry in a
+ * round trip. Sets change the light that is here.
  */
 export function choose(
-  index: Index, worth: Float32Array, ofTerms: Float32Array | null, held: Holdings, delay: number,
+  index: Index, worth: Float32Array, ofTerms: Float32Array | null, held: Holdings, delay: number, blocks: SetBlocks,
 ): Choice | null {
-  let best: Choice | null = null, most = 0;
+  let best: Choice | null = null, most = 0, light = 0;
   for (let part = 0; part < index.count; part++) {
     if (worth[part] <= 0) continue;
+    if (held.part[part] === HELD) light += worth[part];
     const mine = (worth[part] * held.left[part] ** 2 + 1e-30) / (index.bytes[part] + delay);
-    if (held.parts[part] === NONE && mine > most) [best, most] = [{ part, terms: false }, mine];
-    if (held.parts[part] !== HELD || held.terms[part] !== NONE || index.termBytes[part] === 0) continue;
+    if (held.part[part] === NONE && mine > most) [best, most] = [{ kind: "part", number: part }, mine];
+    if (held.part[part] !== HELD || held.terms[part] !== NONE || index.termBytes[part] === 0) continue;
     const theirs = (ofTerms ? ofTerms[part] : worth[part] * TERMS) / (index.termBytes[part] + delay);
-    if (theirs > most) [best, most] = [{ part, terms: true }, theirs];
+    if (theirs > most) [best, most] = [{ kind: "terms", number: part }, theirs];
   }
-  return best;
+  const block = held.sets.indexOf(NONE);
+  if (block < 0) return best;
+  const value = (SETS * light * blocks.worth[block] + 1e-30) / (blocks.bytes[block] + delay);
+  return value > most ? { kind: "sets", number: block } : best;
 }

@@ -1,9 +1,10 @@
 // What a static scene says of itself (docs/static.md): scene.json, checked.
 import { headerOf, withCode } from "./header.ts";
 import { type Fields, integer, list, number, object, refuse, triple } from "./json.ts";
+import { blocksOf, type SetBlocks } from "./static-sets.ts";
 import type { HarmonicTables, Header, Pose } from "./types.ts";
 
-const VERSION = 5;
+const VERSION = 6;
 const MOST = 1 << 28;
 const FARTHEST = 1e30;
 const WHERE = "scene.json";
@@ -33,6 +34,7 @@ export interface StaticScene {
   poses: Pose[];
   first: { bytes: number; pose: Pose }[]; // the file of each first view
   files: Map<string, StaticFile>;
+  sets: SetBlocks; // of harmonics
 }
 
 /** Return the content of scene.json; throw one clear line where it is of another format, a newer version or damaged. */
@@ -53,7 +55,7 @@ export function parseScene(text: string): StaticScene {
     header: {
       ...withCode(plain, top, WHERE), harmonics: top.harmonics === null ? null : parseHarmonics(top.harmonics),
     },
-    files: parseFiles(object(top.files, `${WHERE}, files`)),
+    files: parseFiles(object(top.files, `${WHERE}, files`)), sets: parseBlocks(top.harmonics),
     parts: integer(top, "parts", 0, plain.gaussians, WHERE),
     middle: triple(places.middle, `${WHERE}, places, middle`),
     scale: number(places.scale, 0, FARTHEST, `${WHERE}, places, scale`),
@@ -93,6 +95,7 @@ function checkFiles(scene: StaticScene): void {
   wanted.set("part", parts);
   if (header.terms > 0) wanted.set("terms", parts);
   if (first.length > 0) wanted.set("first", first.length);
+  if (header.harmonics !== null) wanted.set("sets", blocksOf(header.harmonics.sets));
   for (const [kind, count] of wanted) {
     const got = files.get(kind)?.count;
     if (got !== count) refuse(`${WHERE}, files, ${kind}`, `${count} files`, got);
@@ -108,7 +111,15 @@ function parseHarmonics(value: unknown): HarmonicTables {
   const where = `${WHERE}, harmonics`, said = object(value, where),
     degree = integer(said, "degree", 1, 3, where) as 1 | 2 | 3;
   const count = (degree + 1) ** 2 - 1;
-  return { degree, low: numbers(said, "low", count, where), high: numbers(said, "high", count, where) };
+  const sets = integer(said, "sets", 1, MOST, where);
+  return { degree, low: numbers(said, "low", count, where), high: numbers(said, "high", count, where), sets };
+}
+
+/** Return the bytes and the worth of each block of sets; nothing where there are none. */
+function parseBlocks(value: unknown): SetBlocks {
+  if (value === null) return { bytes: [], worth: [] };
+  const where = `${WHERE}, harmonics`, said = object(value, where), { sets } = parseHarmonics(value);
+  return { bytes: numbers(said, "bytes", blocksOf(sets), where), worth: numbers(said, "worth", blocksOf(sets), where) };
 }
 
 function numbers(o: Fields, key: string, count: number, where: string): number[] {

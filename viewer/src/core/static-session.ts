@@ -12,6 +12,7 @@ import { readPiece } from "./static-pieces.ts";
 import { ASKED, choose, HELD, LOST, worthOf } from "./static-plan.ts";
 import type { Choice, Holdings } from "./static-plan.ts";
 import type { StaticScene } from "./static-scene.ts";
+import { readSets } from "./static-sets.ts";
 import type { Pose, SourceEvents, View } from "./types.ts";
 
 const TURN = 0.087; // radians by which the head turns before all is ranked again
@@ -48,9 +49,10 @@ export class StaticSession {
     readonly scene: StaticScene, private readonly parts: Parts, private readonly link: Link,
     private readonly events: SessionEvents,
   ) {
-    const { parts: count } = scene;
+    const { parts: count, sets } = scene;
     this.#held = {
-      parts: new Uint8Array(count), terms: new Uint8Array(count), left: new Float32Array(count).fill(1),
+      part: new Uint8Array(count), terms: new Uint8Array(count), sets: new Uint8Array(sets.bytes.length),
+      left: new Float32Array(count).fill(1),
     };
     this.arrivals = new Arrivals(scene.header);
     this.#first = scene.first.map((_, k) => new FirstView(scene, k));
@@ -104,9 +106,9 @@ export class StaticSession {
     if (this.#isStale(cell)) this.#plan(cell, row, this.#index, this.#pose, this.#view);
     while (this.#busy < this.#mostRequests()) {
       const delay = (this.link.throughput * this.link.roundTrip) / CONNECTIONS;
-      const choice = choose(this.#index, this.#worth, this.#ofTerms, this.#held, delay);
+      const choice = this.#choose(this.#index, delay);
       if (choice === null) break;
-      this.#states(choice)[choice.part] = ASKED;
+      this.#held[choice.kind][choice.number] = ASKED;
       this.#busy++;
       void this.#fetch(choice, this.#index).finally(() => {
         this.#busy--;
@@ -138,7 +140,7 @@ export class StaticSession {
     this.#ofTerms = row.terms;
     this.#planned = { cell, pose, view };
     this.#left = null;
-    if (this.#isComplete && choose(index, this.#worth, this.#ofTerms, this.#held, 0) !== null) {
+    if (this.#isComplete && this.#choose(index, 0) !== null) {
       this.#isComplete = false;
       this.report();
     }
@@ -208,29 +210,42 @@ export class StaticSession {
     this.#pump();
   }
 
-  async #fetch(choice: Choice, index: Index): Promise<void> {
-    const { part, terms } = choice, kind = terms ? "terms" : "part", states = this.#states(choice);
+  #choose(index: Index, delay: number): Choice | null {
+    return choose(index, this.#worth, this.#ofTerms, this.#held, delay, this.scene.sets);
+  }
+
+  async #fetch({ kind, number }: Choice, index: Index): Promise<void> {
+    const states = this.#held[kind];
+    const bytes = { part: index.bytes, terms: index.termBytes, sets: this.scene.sets.bytes }[kind];
     try {
-      const data = await this.#read(kind, part, (terms ? index.termBytes : index.bytes)[part]);
-      const piece = await readPiece(data, this.scene.header, this.arrivals.rows, `${kind} ${part}`);
+      const data = await this.#read(kind, number, bytes[number]);
+      const tell = kind === "sets" ? await this.#readSets(data, number) : await this.#readPart(data, `${kind} ${number}`);
       if (this.#isClosed) return;
-      states[part] = HELD;
-      this.events.batch(this.arrivals.add(piece));
+      states[number] = HELD;
+      tell();
     } catch (error) {
       if (this.#isClosed) return;
-      states[part] = LOST;
+      states[number] = LOST;
       this.#lose(error);
     }
+  }
+
+  /** Decode a part, or terms; return what tells of it. */
+  async #readPart(data: Uint8Array, where: string): Promise<() => void> {
+    const piece = await readPiece(data, this.scene.header, this.arrivals.rows, where);
+    return () => this.events.batch(this.arrivals.add(piece));
+  }
+
+  /** Decode a block of sets of harmonics; return what tells of it. */
+  async #readSets(data: Uint8Array, block: number): Promise<() => void> {
+    const { first, sets } = await readSets(data, block, this.scene.header.harmonics!);
+    return () => this.events.sets?.(first, sets);
   }
 
   /** Return a file, or one of a kind by its number. */
   async #read(kind: string, number?: number, bytes?: number, take?: (data: Uint8Array) => void): Promise<Uint8Array> {
     const { name, bytes: all } = this.scene.files.get(kind)!, file = number === undefined ? name : `${name}-${number}.bin`;
     return this.link.measure(() => this.parts.read(file, bytes ?? all, take), this.parts.isAhead?.(file));
-  }
-
-  #states(choice: Choice): Uint8Array {
-    return choice.terms ? this.#held.terms : this.#held.parts;
   }
 
   #lose(reason: unknown): void {

@@ -1,12 +1,13 @@
 // What the GPU holds of a scene: records as they came, rows of chunks, terms as linked lists, tables, and the colors
 // found.
-import { harmonicTexels, packTables, padHarmonics, type PackedTables } from "./colors.ts";
+import { harmonicBytes, harmonicTexels, packSets, packTables, type PackedTables } from "./colors.ts";
 import { GrowingTexture, ROW } from "./textures.ts";
 import type { Batch, Header } from "./types.ts";
 
 /** Return the bytes on the GPU that each Gaussian takes, without its terms. */
-export function bytesOfGaussian({ harmonics, terms }: Header): number {
-  return 16 + 8 + 8 + (terms ? 4 : 0) + (harmonics ? 16 * harmonicTexels(harmonics) : 0);
+export function bytesOfGaussian({ gaussians, harmonics, terms }: Header): number {
+  const sets = harmonics ? 4 + (16 * harmonicTexels(harmonics) * harmonics.sets) / Math.max(gaussians, 1) : 0;
+  return 16 + 8 + 8 + (terms ? 4 : 0) + sets;
 }
 
 export class Store {
@@ -17,7 +18,8 @@ export class Store {
   readonly chunks: GrowingTexture;
   readonly heads: GrowingTexture; // first term of each Gaussian, from 1; 0 for none
   readonly terms: GrowingTexture; // bits, next term from 1
-  readonly harmonics: GrowingTexture;
+  readonly labels: GrowingTexture; // the set of harmonics of each Gaussian
+  readonly sets: GrowingTexture;
   readonly colors: GrowingTexture;
   readonly tableTexture: WebGLTexture;
   count = 0;
@@ -40,7 +42,8 @@ export class Store {
     this.chunks = new GrowingTexture(gl, "RGBA32UI");
     this.heads = new GrowingTexture(gl, "R32UI");
     this.terms = new GrowingTexture(gl, "RGBA32UI");
-    this.harmonics = new GrowingTexture(gl, "RGBA32UI");
+    this.labels = new GrowingTexture(gl, "R32UI");
+    this.sets = new GrowingTexture(gl, "RGBA32UI");
     this.colors = new GrowingTexture(gl, "RG32UI");
     for (const texture of this.#all()) texture.reserve(1);
     const { texels, rows } = this.tables;
@@ -53,7 +56,7 @@ export class Store {
   }
 
   #all(): GrowingTexture[] {
-    return [this.records, this.links, this.chunks, this.heads, this.terms, this.harmonics, this.colors];
+    return [this.records, this.links, this.chunks, this.heads, this.terms, this.labels, this.sets, this.colors];
   }
 
   get bytes(): number {
@@ -62,8 +65,7 @@ export class Store {
 
   /** Gaussians that the largest textures of this device hold. */
   get most(): number {
-    const { harmonics } = this.header;
-    return Math.floor((ROW * this.#limit) / (harmonics ? harmonicTexels(harmonics) : 1));
+    return ROW * this.#limit;
   }
 
   get viewDependent(): boolean { return this.termCount > 0 || this.header.harmonics !== null; }
@@ -108,14 +110,23 @@ export class Store {
       links[2 * k + 1] = slots ? slots[from + k] : batch.first + k;
     }
     this.links.write(from, links);
-    const { harmonics } = this.header;
-    if (harmonics && batch.harmonics) {
-      const texels = harmonicTexels(harmonics);
-      this.harmonics.reserve(texels * to, texels * most);
-      this.harmonics.write(texels * from, padHarmonics(batch.harmonics, count, harmonics));
+    if (batch.labels) {
+      this.labels.reserve(to, most);
+      this.labels.write(from, batch.labels);
     }
     this.count = to;
     for (let row = Math.floor(from / ROW); row * ROW < to; row++) this.stale.add(row);
+  }
+
+  /** Add sets of harmonics, from number `first` on; those beyond the largest texture leave base colors. */
+  addSets(first: number, sets: Uint8Array): void {
+    const { harmonics } = this.header;
+    if (!harmonics) return;
+    const texels = harmonicTexels(harmonics), end = texels * (first + sets.length / harmonicBytes(harmonics));
+    if (end > ROW * this.#limit) return;
+    this.sets.reserve(end, texels * harmonics.sets);
+    this.sets.write(texels * first, packSets(sets, harmonics));
+    for (let row = 0; row * ROW < this.count; row++) this.stale.add(row);
   }
 
   #appendSlots(first: number, count: number): void {

@@ -14,12 +14,14 @@ export interface ColorTables {
 }
 
 /**
- * Spherical harmonics of a bare scene: `bands` of (degree + 1)^2 - 1 coefficients, as bytes between `low` and `high`.
+ * Spherical harmonics of a bare scene: sets of K = (degree + 1)^2 - 1 coefficients, as bytes between `low` and `high`;
+ * byte 128 is 0.
  */
 export interface HarmonicTables {
   degree: 1 | 2 | 3;
   low: number[];
   high: number[];
+  sets: number; // how many; each Gaussian has one
 }
 
 /** The symbol at each slot; for each symbol its first slot and, from bit 16 on, how many slots it has. */
@@ -76,7 +78,7 @@ export interface Batch {
   terms: Uint32Array; // (2 M), the bits of each term's record, lowest first
   owners: Uint32Array; // (M), slots
   gone: Uint32Array; // (D), slots that others have replaced
-  harmonics: Uint8Array | null; // (3 K G) of a bare scene, K coefficients of R, G, B each
+  labels: Uint32Array | null; // (G), the set of harmonics of each Gaussian of a bare scene
 }
 
 /** Where an eye is: quaternion wxyz, world from camera. */
@@ -126,6 +128,7 @@ export interface Traffic {
 export interface SourceEvents {
   header(header: Header, fresh: boolean): void; // fresh: drop everything drawn so far
   batch(batch: Batch): void;
+  sets?(first: number, sets: Uint8Array): void; // of harmonics, 3 K bytes each: K coefficients of R, G, B
   state(state: SourceState): void;
   traffic(traffic: Traffic): void;
 }

@@ -63,6 +63,7 @@ export class Viewer extends EventTarget {
   #settled: (() => void)[] = [];
   #opened = 0;
   #replaced = 0; // since the last compaction
+  readonly #sets = new Map<number, Uint8Array>(); // of harmonics, by the number of the first
   readonly #figures = {
     frame: 0, sort: 0, append: 0, dropped: 0, replaced: 0, frames: 0, first: null as number | null,
   };
@@ -111,6 +112,7 @@ export class Viewer extends EventTarget {
     source.start({
       header: (header, fresh) => { if (source === this.#source) this.#takeHeader(header, fresh); },
       batch: (batch) => { if (source === this.#source) this.#intake.add(batch); },
+      sets: (first, sets) => { if (source === this.#source) this.#takeSets(first, sets); },
       state: (state) => {
         if (source !== this.#source) return;
         this.#state = state;
@@ -335,6 +337,7 @@ export class Viewer extends EventTarget {
     if (fresh || !this.#store) {
       this.#intake.clear();
       this.#marks = {};
+      this.#sets.clear();
       this.#sorter.reset(header);
       this.#figures.dropped = this.#figures.replaced = this.#replaced = 0;
       this.#waiting = null;
@@ -366,6 +369,15 @@ export class Viewer extends EventTarget {
     this.#request();
   }
 
+  /** Keep sets of harmonics, as the GPU may lose them, and hand them on. */
+  #takeSets(first: number, sets: Uint8Array): void {
+    this.#sets.set(first, sets);
+    if (this.#isLost()) return;
+    this.#store?.addSets(first, sets);
+    this.#version += 1;
+    this.#request();
+  }
+
   /** Return the batch without its Gaussians, or its terms, if they do not fit into the budget. */
   #trim(batch: Batch): Batch {
     const store = this.#store, count = batch.ids.length, none = new Uint32Array(0);
@@ -381,7 +393,7 @@ export class Viewer extends EventTarget {
       );
     }
     this.#figures.dropped += count;
-    return { ...fitting, ids: none, records: none, rows: none, harmonics: null };
+    return { ...fitting, ids: none, records: none, rows: none, labels: null };
   }
 
   /** Return whether the GPU has lost all; the event that says so may come later. */
@@ -409,6 +421,7 @@ export class Viewer extends EventTarget {
     this.#store = new Store(this.#gl, this.#fitted(this.#header));
     this.#store.slots = slots;
     this.#store.marks = this.#marks[this.paint] ?? null;
+    for (const [first, sets] of this.#sets) this.#store.addSets(first, sets);
     this.#renderer.use(this.#store);
   }
 

@@ -14,6 +14,7 @@ export type Order<Start, More = never> =
 export type Report =
   | { kind: "header"; header: Header; fresh: boolean }
   | { kind: "batch"; batch: Batch }
+  | { kind: "sets"; first: number; sets: Uint8Array }
   | { kind: "state"; state: SourceState }
   | { kind: "traffic"; traffic: Traffic };
 
@@ -85,15 +86,15 @@ export function workerSource<Start extends object, More extends { kind: string }
 function pass(report: Report, events: SourceEvents): void {
   if (report.kind === "header") events.header(report.header, report.fresh);
   else if (report.kind === "batch") events.batch(report.batch);
+  else if (report.kind === "sets") events.sets?.(report.first, report.sets);
   else if (report.kind === "state") events.state(report.state);
   else events.traffic(report.traffic);
 }
 
-/** Return what moves with a report from the Worker: the arrays of a batch, each buffer once. */
+/** Return what moves with a report from the Worker: the arrays of a batch or of sets, each buffer once. */
 export function buffersOf(report: Report): ArrayBuffer[] {
-  if (report.kind !== "batch") return [];
-  const found = new Set<ArrayBuffer>();
-  for (const value of Object.values(report.batch) as unknown[]) {
+  const found = new Set<ArrayBuffer>(), said = report.kind === "batch" ? report.batch : report;
+  for (const value of Object.values(said) as unknown[]) {
     if (ArrayBuffer.isView(value) && value.buffer instanceof ArrayBuffer) found.add(value.buffer);
   }
   return [...found];

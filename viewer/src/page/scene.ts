@@ -92,6 +92,7 @@ export function holdPoses(source: Source): { source: Source; header: Promise<Hea
       pass((to) => to.header(header, fresh));
     },
     batch: (batch) => pass((to) => to.batch(batch)),
+    sets: (first, sets) => pass((to) => to.sets?.(first, sets)),
     state: (state) => pass((to) => to.state(state)), traffic: (traffic) => pass((to) => to.traffic(traffic)),
   });
   return {

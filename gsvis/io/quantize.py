@@ -1,4 +1,4 @@
-"""Vector quantization for the SOG writer: codebooks of numbers and palettes of vectors.
+"""Vector quantization for files: codebooks of numbers and palettes of vectors.
 
 Deterministic: the same values give the same entries. This module knows no Gaussians.
 """
@@ -6,14 +6,16 @@ Deterministic: the same values give the same entries. This module knows no Gauss
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["codebook_of", "nearest_entry", "palette_of"]
+__all__ = ["codebook_of", "distinct_rows", "nearest_entry", "palette_of"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+Number = TypeVar("Number", bound=np.number[Any])
 _ENTRIES = 256
 _ROUNDS = 8
 _SAMPLE = 1 << 16
@@ -69,7 +71,7 @@ def palette_of(vectors: F32, entries: int) -> tuple[F32, NDArray[np.int64]]:
         palette: (P, F) float32, P <= entries.
         labels: (N,) int64 indices into the palette.
     """
-    distinct, inverse = _distinct_rows(vectors)
+    distinct, inverse = distinct_rows(vectors)
     if len(distinct) <= entries:
         return distinct, inverse
     rng = np.random.default_rng(0)
@@ -91,9 +93,10 @@ def palette_of(vectors: F32, entries: int) -> tuple[F32, NDArray[np.int64]]:
     return np.concatenate(palette), labels
 
 
-def _distinct_rows(vectors: F32) -> tuple[F32, NDArray[np.int64]]:
-    """Return the distinct rows, and the index of each row among them."""
-    packed = np.ascontiguousarray(vectors).view(np.dtype((np.void, 4 * vectors.shape[1])))[:, 0]
+def distinct_rows(vectors: NDArray[Number]) -> tuple[NDArray[Number], NDArray[np.int64]]:
+    """Return the distinct rows of (N, F), and the index of each row among them; rows are compared by their bytes."""
+    row = np.dtype((np.void, vectors.dtype.itemsize * vectors.shape[1]))
+    packed = np.ascontiguousarray(vectors).view(row)[:, 0]
     _, first, inverse = np.unique(packed, return_index=True, return_inverse=True)
     return vectors[first], inverse.reshape(-1)
 
