@@ -68,7 +68,7 @@ __all__ = ["VERSIONS", "StageColors", "StageRecord", "Stages", "around_of"]
 
 VERSIONS = {
     "levels": 7,
-    "sets": 3,
+    "sets": 4,
     "joined": 3,
     "colors": 2,
     "epsilon": 1,

@@ -54,6 +54,10 @@ _PROBE_FLOOR = 0.05  # least weight of a missing Gaussian that a probe counts
 _PROBE_LOSS = 0.1  # sum of these weights from which the eye looks finely
 _FINE_FLOOR = 4.0  # least weight, over tau, of what a fine look after a probe adds: a set should stay small
 _CLEAN = 4  # probes in a row that find nothing, after which there are no more
+_SLOW = 0.5  # part of the missed light that is left after a repair, above which the next ones look more finely
+_CLOSER = 4.0  # times
+_COUNTS_AS = 3  # repairs, of one with these looks
+_LARGEST = 4096  # most pixels along a side of a face
 _CHECKED = 8  # rays of a cell that a second tracer may trace again
 
 
@@ -190,10 +194,14 @@ class Finder:
         figures = Figures(shared + inner, inner, rays, *worst)
         return CellView(ids.astype(np.int32), view.best[ids].astype(np.uint8), view.sets[ids], figures, checked)
 
+    def look_again(self, level: int, viewpoint: F64, scale: float) -> tuple[I64, NDArray[np.int8]]:
+        """Return the union ids that a viewpoint (3,) sees in a level, and their classes; `scale` multiplies pixels."""
+        return self._see(level, viewpoint, scale=scale)
+
     def _see(
-        self, level: int, viewpoint: F64, *, fine: bool = True, floor: float | None = None
+        self, level: int, viewpoint: F64, *, fine: bool = True, floor: float | None = None, scale: float = 1.0
     ) -> tuple[I64, NDArray[np.int8]]:
-        """Return the union ids that a viewpoint sees in a level, and their classes."""
+        """Return the union ids that a viewpoint sees in a level, and their classes; `scale` multiplies the pixels."""
         finer = self._finer(level, viewpoint)
         size = self.config.size
         if level < len(self.levels) - 1:
@@ -204,7 +212,9 @@ class Finder:
             pixels = max(4.0, _COARSE * finer * size)
         faint = _FAINTEST * self.config.tau if floor is None else None
         prepared = self._prepared[level]
-        ids, weights = prepared.look(viewpoint, size=round(pixels), floor=floor, faint=faint, hull=finer == 1.0)
+        size = round(min(scale * pixels, max(pixels, _LARGEST)))
+        hull = finer == 1.0 and scale == 1.0  # its z-buffer takes memory
+        ids, weights = prepared.look(viewpoint, size=size, floor=floor, faint=faint, hull=hull)
         return prepared.ids[ids], self._classify(weights)
 
     def _finer(self, level: int, viewpoint: F64) -> float:
@@ -289,6 +299,8 @@ class Finder:
         inner = 0
         tile = 0.0
         faint = True
+        looks = _Looks(self, level)
+        repairs = 0
         while True:
             held = view.best[places] >= 0
             stage = 1 + len(certificates) + (level << 16)
@@ -297,21 +309,30 @@ class Finder:
                 break
             certificates.append(found)
             view.add(places[found.ids], self._classify(found.id_weights), found.id_origins)
-            looks, tile = self._mend_tiles(level, found, view)
-            inner += looks
-            spent = len(certificates) > config.max_inner or not found.weights.any()
-            if spent or (found.bound <= config.limit and tile <= config.tile_limit):
+            looks.begin_repair(self._is_slow(certificates))
+            repairs += 1 if looks.scale == 1.0 else _COUNTS_AS
+            count, tile = self._mend_tiles(level, found, view, looks)
+            inner += count
+            ends = repairs > config.max_inner or not found.weights.any()
+            if ends or (found.bound <= config.limit and tile <= config.tile_limit):
                 break
             if found.bound <= config.limit or found.missed <= _LOOKED * config.limit:
                 continue
             if faint:
                 self._add_faint(level, sightings, view)
                 faint = False
-            else:
-                ids, classes = self._see(level, found.worst_o[0])
+            elif not (count and looks.scale > 1.0):
+                ids, classes = looks.see(found.worst_o[0])
                 view.add(ids, np.maximum(classes, 0), found.worst_o[:1])
                 inner += 1
         return _Mended(certificates, inner, tile)
+
+    def _is_slow(self, certificates: Sequence[Certificate]) -> bool:
+        """Return whether the last repair left much of the missed light, because looks are too coarse to find it."""
+        if self.config.method != "hybrid" or len(certificates) < 2:
+            return False  # with other methods pixels cost time
+        before, last = certificates[-2:]
+        return last.missed > max(self.config.limit, _SLOW * before.missed)
 
     def _add_faint(self, level: int, sightings: Sequence[Sighting], view: _Growing) -> None:
         """Add missing Gaussians of a level that shared viewpoints saw faintly."""
@@ -322,7 +343,7 @@ class Finder:
             ids = each.faint[wanted[each.faint]]
             view.add(ids, np.zeros(len(ids), np.int8), each.viewpoint[None])
 
-    def _mend_tiles(self, level: int, found: Certificate, view: _Growing) -> tuple[int, float]:
+    def _mend_tiles(self, level: int, found: Certificate, view: _Growing, looks: _Looks) -> tuple[int, float]:
         """Add missing Gaussians in tiles around the worst rays; return the number of looks and the worst tile left.
 
         Rays find missing Gaussians. If rays at other places of the tiles find more, the eye of the worst tile looks.
@@ -330,7 +351,7 @@ class Finder:
         config = self.config
         tracer = self._prepared[level].certifier.tracer
         places = self._prepared[level].ids
-        looks = 0
+        count = 0
         for turn in range(_TURNS):
             held = view.best[places] >= 0
             tiles = probe_tiles(tracer, held, found.worst_o, found.worst_d, config.tau, turn=turn)
@@ -340,10 +361,43 @@ class Finder:
                 break
             if turn:
                 eye = found.worst_o[int(tiles.missed.argmax())]
-                ids, classes = self._see(level, eye)
+                ids, classes = looks.see(eye)
                 view.add(ids[classes >= 0], classes[classes >= 0], eye[None])
-                looks += 1
-        return looks, tile
+                count += 1
+        return count, tile
+
+
+class _Looks:
+    """The looks that repair a level of a cell. They become finer where a repair with coarse ones found little.
+
+    An eye that looked in this repair does not look again.
+
+    Args:
+        finder: Its levels.
+        level: The level.
+
+    Attributes:
+        scale: Pixels along a side of the faces of looks, over those of a fine look.
+    """
+
+    def __init__(self, finder: Finder, level: int) -> None:
+        self.scale = 1.0
+        self._finder = finder
+        self._level = level
+        self._seen: dict[bytes, tuple[I64, NDArray[np.int8]]] = {}  # what each eye saw in this repair
+
+    def begin_repair(self, slow: bool) -> None:
+        """Forget the looks of the last repair; if there were any and that was slow, make all later ones finer."""
+        if slow and self._seen:
+            self.scale = _CLOSER
+        self._seen.clear()
+
+    def see(self, eye: F64) -> tuple[I64, NDArray[np.int8]]:
+        """Return the union ids that an eye (3,) sees in the level, and their classes."""
+        name = eye.tobytes()
+        if name not in self._seen:
+            self._seen[name] = self._finder.look_again(self._level, eye, self.scale)
+        return self._seen[name]
 
 
 @dataclass(frozen=True, eq=False)

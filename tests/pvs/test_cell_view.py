@@ -15,7 +15,7 @@ from numba import get_num_threads, set_num_threads
 from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
-from gsvis.pvs import PvsConfig
+from gsvis.pvs import PvsConfig, cell_view
 from gsvis.pvs._journal import pack_sighting, pack_view
 from gsvis.pvs.cell_view import CellView, Finder, Sighting
 from gsvis.pvs.cells import CellGrid
@@ -473,3 +473,56 @@ def test_a_shell_of_outliers_makes_no_look_at_a_small_object_coarser() -> None:
     alone, within = (Finder(Levels.single(g), config).look(eye).ids for g in (whole[np.arange(400)], whole))
     assert len(alone) > 300
     assert np.isin(alone, within).mean() > 0.95
+
+
+def dust() -> tuple[Finder, CellViewpoints]:
+    """A cloud of Gaussians that are smaller than the pixels of coarse faces, and one cell beside it."""
+    rng = np.random.default_rng(3)
+    count = 20_000
+    quats, scales = np.tile([1.0, 0, 0, 0], (count, 1)), np.full((count, 3), 0.02)
+    g = Gaussians(0.3 * rng.normal(size=(count, 3)), quats, scales, np.full(count, 0.9), np.zeros((count, 1, 3)))
+    space = NavigableSpace.from_box((3, -1, -1), (5, 1, 1), 4)
+    viewpoints = CellViewpoints(CellGrid.over(space, max_cells=1), space)
+    return Finder(Levels.single(g), PvsConfig(size=8, limit=0.001, rays=1024, probes=0)), viewpoints
+
+
+def note_looks(monkeypatch: pytest.MonkeyPatch) -> list[tuple[bytes, int]]:
+    """The eye and the pixels of every look from now on."""
+    looks: list[tuple[bytes, int]] = []
+    look = Look.__call__
+
+    def noted(self: Look, viewpoint: F64, **how: Any) -> Any:
+        looks.append((viewpoint.tobytes(), how["size"]))
+        return look(self, viewpoint, **how)
+
+    monkeypatch.setattr(Look, "__call__", noted)
+    return looks
+
+
+def test_an_eye_looks_once_in_a_repair_and_that_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    voxels = rooms()[1].voxels(0)
+    looks = note_looks(monkeypatch)
+    view = another(max_inner=8, limit=0.0001, tile_limit=0.001, probes=0).find_cell(voxels, [])
+    assert len(set(looks)) == len(looks) > 2
+    begin = cell_view._Looks.see
+    monkeypatch.setattr(cell_view._Looks, "see", lambda self, eye: (self._seen.clear(), begin(self, eye))[1])
+    again = another(max_inner=8, limit=0.0001, tile_limit=0.001, probes=0).find_cell(voxels, [])
+    assert len(looks) > 2 * len(set(looks))
+    assert pack_view(view) == pack_view(again)
+
+
+def test_where_a_repair_finds_little_the_next_looks_are_finer_and_fewer_prove_as_much(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    finder, viewpoints = dust()
+    looks = note_looks(monkeypatch)
+    view = finder.find_cell(viewpoints.voxels(0), [])
+    sizes = [size for _, size in looks]
+    assert max(sizes[:2]) < 3 * min(sizes) < max(sizes)
+    finer = [size >= 3 * min(sizes) for size in sizes]
+    assert finer == sorted(finer)
+    monkeypatch.setattr(Finder, "_is_slow", lambda self, certificates: False)
+    coarse = finder.find_cell(viewpoints.voxels(0), [])
+    assert view.figures.inner < coarse.figures.inner
+    assert view.figures.rays < coarse.figures.rays
+    assert view.figures.bound < coarse.figures.bound
