@@ -11,7 +11,7 @@ color` counts it. A walk: the terms that change the image by more than a thresho
 the Gaussian times the root of its summed squared blending weights, which is what a server estimates). The threshold is
 the largest at which images of what came so far lose at most 0.1 dB against the scene.
 
-Given: --scenes, --prices of width, --mean-terms, --steps of learning.
+Given: --scenes, --prices of width, --mean-terms, --steps of learning, --precision of the records.
 Measured: PSNR, SSIM and FLIP against SH, mean and worst; bytes of colors and terms in a package beyond those of the
     geometry; shares of terms; visible Gaussians by their number of active terms. Walks that do not see a scene are
     left out.
@@ -31,7 +31,7 @@ import numpy as np
 from _harness import add_arguments, realdata, write_result
 from numpy.typing import NDArray
 
-from gsvis.color import Activation, FitConfig, QuantizedColors, SrbfColors, fit_srbf, quantize, sh_bytes
+from gsvis.color import PRECISIONS, Activation, FitConfig, QuantizedColors, SrbfColors, fit_srbf, quantize, sh_bytes
 from gsvis.color.evaluate import Evaluator
 from gsvis.io import load_scene
 from gsvis.io.poses import load_path
@@ -115,9 +115,9 @@ class Judge:
             walks.append([View.of(g, cameras[c]) for c in range(len(cameras))])
         return cls(g, levels, sampled, [walk for walk in walks if sees_something(walk)])
 
-    def judge(self, colors: SrbfColors) -> dict[str, Any]:
-        """Return all figures of colors, as records."""
-        packed = quantize(colors, "wire")
+    def judge(self, colors: SrbfColors, precision: str) -> dict[str, Any]:
+        """Return all figures of colors, as records of a precision."""
+        packed = quantize(colors, precision)
         records = packed.dequantize()
         seen = Evaluator(records)
 
@@ -134,6 +134,7 @@ class Judge:
 
         looked = [walk[i] for walk in self.walks for i in LOOKS]
         return {
+            "precision": precision,
             "terms": records.num_terms / len(records),
             "bytes": self.color_bytes(packed),
             "median_decay": float(np.median(records.decays)),
@@ -214,7 +215,12 @@ def measure(name: str, lod: int, options: argparse.Namespace) -> dict[str, Any]:
             config = replace(config, decays=(1.5, 6.0))
         began = time.process_time()
         fitted = fit_srbf(g, direction_weights(sets, seen.shares), config, importance=seen.importance).colors
-        row = {"price": price, "learned": False, "cpu_s": time.process_time() - began, **judge.judge(fitted)}
+        row = {
+            "price": price,
+            "learned": False,
+            "cpu_s": time.process_time() - began,
+            **judge.judge(fitted, options.precision),
+        }
         rows.append(row)
         print(name, lod, {k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}, flush=True)
         if options.steps:
@@ -223,7 +229,12 @@ def measure(name: str, lod: int, options: argparse.Namespace) -> dict[str, Any]:
             began = time.process_time()
             lesson = draw_lesson(g, space, options.steps)
             learned = learn_colors(g, fitted, lesson.views, lesson.config)
-            row = {"price": price, "learned": True, "cpu_s": time.process_time() - began, **judge.judge(learned)}
+            row = {
+                "price": price,
+                "learned": True,
+                "cpu_s": time.process_time() - began,
+                **judge.judge(learned, options.precision),
+            }
             rows.append(row)
             print(name, lod, {k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}, flush=True)
     return {"gaussians": len(g), "sh_bytes": sh_bytes(g.sh_degree, 32), "rows": rows}
@@ -232,6 +243,7 @@ def measure(name: str, lod: int, options: argparse.Namespace) -> dict[str, Any]:
 def figures_of(scene: str, row: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the figures of one row."""
     how = f"{scene}, price {row['price']:g}" + (", learned" if row["learned"] else "")
+    how += "" if row["precision"] == "wire" else f", {row['precision']}"
     wanted = (
         ("sampled_psnr", "PSNR of sampled views against SH", "dB", "higher", 49.0),
         ("sampled_worst", "the worst of them", "dB", "higher", None),
@@ -253,6 +265,7 @@ def main() -> None:
     parser.add_argument("--prices", nargs="+", type=float, default=[0.0, FitConfig.width_price])
     parser.add_argument("--mean-terms", type=float, default=FitConfig.mean_terms)
     parser.add_argument("--steps", type=int, default=0, help="steps of learning from renders, beside the fit")
+    parser.add_argument("--precision", choices=tuple(PRECISIONS), default="wire", help="of the records")
     parser.add_argument("--views", type=int, default=12)
     options = parser.parse_args()
     found = {}

@@ -318,7 +318,7 @@ class Color:
     learning: Learning = Learning()
     compared: Compared = Compared()
     precision: Annotated[Literal["coarse", "wire", "fine", "exact"], readers.PLAIN] = "wire"
-    """Bits of what is written; exact keeps 32 bits a number. (default: wire)"""
+    """Bits of colors and terms as they are written; exact keeps 32 bits a number. (default: wire)"""
     epsilon: Annotated[float | None, readers.EPSILON, hint("auto where it is needed")] = None
     """Smallest change of a color for which a term is sent; auto asks the metric FLIP what an eye would see."""
     active: File = None

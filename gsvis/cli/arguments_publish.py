@@ -49,6 +49,9 @@ class MendedSets(Sets):
 class FilteredFit(Fit):
     """How colors of a package are fitted, and which terms are sent."""
 
+    precision: Annotated[Literal["wire", "coarse"], readers.PLAIN] = "wire"
+    """Bits of colors and terms. coarse: a fifth fewer bytes of them, best where colors change smoothly with the view
+    and many terms overlap, such as plants. (default: wire)"""
     epsilon: Annotated[float | None, readers.EPSILON, hint("0.02")] = None
     """Smallest change of a color for which a term is sent; auto asks the metric FLIP what an eye would see."""
     cell_terms: Annotated[Literal["computed", "stored"], readers.PLAIN] = "computed"

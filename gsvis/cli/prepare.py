@@ -147,7 +147,9 @@ def check_arguments(command: Prepare) -> PrepareConfig:
         cell_size=command.sets.cell_size,
         join_cells=command.join_cells,
         sets=config_of(PvsConfig, command.sets, size=command.sets.face_size, rays=command.sets.certify),
-        colors=color_config(command.fit, replace(ColorConfig.views, seed=command.seed)),
+        colors=replace(
+            color_config(command.fit, replace(ColorConfig.views, seed=command.seed)), precision=command.fit.precision
+        ),
         color_steps=command.color_steps,
         epsilon=_epsilon(command.fit.epsilon),
         cell_terms=command.fit.cell_terms,

@@ -52,6 +52,8 @@ class ColorConfig:
         directions: How the directions of a set count in the fit; one of `DIRECTIONS`. "weighed": more where views see
             more, and a little outside the set; see `direction_weights`. "faces": all of the set alike, and none outside
             (paper, section 3.1).
+        precision: "wire" or "coarse": bits of the records of a package, see `gsvis.color.PRECISIONS`. The fit does not
+            depend on it.
 
     Raises:
         ValueError: If a value is out of range.
@@ -61,9 +63,11 @@ class ColorConfig:
     views: ViewSampling = _VIEWS
     rays_per_face: int = 1
     directions: str = "weighed"
+    precision: str = "wire"
 
     def __post_init__(self) -> None:
         _check.one_of("directions", self.directions, DIRECTIONS)
+        _check.one_of("precision", self.precision, ("wire", "coarse"))
         if self.rays_per_face not in (0, 1, 4, 16, 64):
             raise ValueError(f"rays_per_face: expected 0, 1, 4, 16 or 64, got {self.rays_per_face!r}")
         if self.rays_per_face == 0 and self.views.count == 0:

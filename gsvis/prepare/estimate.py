@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gsvis.color.records import bytes_per_term, quantize
+from gsvis.color.records import bytes_per_term
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf
 from gsvis.jobs.cost import machine_load
@@ -146,7 +146,7 @@ class _Estimator:
         self._fidelity(exact, store, epsilon)
         if store is not None:
             store.close()
-        term_bytes = _PACKED_TERM * bytes_per_term(self.config.colors.fit.variant, "wire") * terms
+        term_bytes = _PACKED_TERM * bytes_per_term(self.config.colors.fit.variant, self.config.colors.precision) * terms
         began = _clock()
         record = bytes_of_record(self.levels, _CODED)
         seconds = (_clock() - began) * self.union / min(_CODED, len(self.levels.union))
@@ -262,7 +262,7 @@ class _Estimator:
             return self.config.epsilon
         what = f"a staircase in {OBSERVED.count} views of {OBSERVED.width} x {OBSERVED.height}"
         if exact is not None:
-            packed = quantize(exact, "wire", reach=stages.reach)
+            packed = stages.rounded(exact)
             if stages.work.whole(stages.epsilon_name(self.levels, packed)):
                 self.found.append(StageEstimate("epsilon", "done", what, 0.0, 4000))
                 return stages.epsilon(self.levels, packed).value

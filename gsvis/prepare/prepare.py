@@ -16,7 +16,6 @@ from typing import Any
 
 from gsvis import _check
 from gsvis._extras import has, missing
-from gsvis.color import quantize
 from gsvis.errors import FormatError, SceneError
 from gsvis.jobs.work_folder import WorkFolder
 from gsvis.jobs.workers import Workers
@@ -159,7 +158,7 @@ def finish_package(
         with VisibilityStore.open(sets, scene=levels.union) as store:
             colors = stages.colors(levels, store)
             exact = colors.exact
-            packed = quantize(exact, "wire", reach=stages.reach)
+            packed = stages.rounded(exact)
             epsilon = stages.epsilon(levels, packed)
             cost = stages.cost(levels, exact, packed)
             shipped = stages.shipped_sets(store)

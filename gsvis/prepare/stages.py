@@ -36,7 +36,7 @@ from gsvis.package.active_terms import colors_hash
 from gsvis.package.cell_terms import CellTerms
 from gsvis.prepare.active_terms import list_package_terms
 from gsvis.prepare.calibration import OBSERVED, Epsilon, calibrate_by_flip
-from gsvis.prepare.colors import find_kept, prepare_colors
+from gsvis.prepare.colors import ColorConfig, find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.judged import judge_tile, small_views
 from gsvis.prepare.learned_colors import (
@@ -326,6 +326,15 @@ class Stages:
         self.remarks += [made.learned["remark"]] if made.learned and made.learned["remark"] else []
         return made
 
+    def rounded(self, exact: SrbfColors) -> QuantizedColors:
+        """Return colors as the package holds them."""
+        return quantize(exact, self.config.colors.precision, reach=self.reach)
+
+    def _precision_record(self) -> dict[str, Any]:
+        """Return what the precision adds to a key; empty for the usual one."""
+        precision = self.config.colors.precision
+        return {} if precision == ColorConfig.precision else {"precision": precision}
+
     def _lesson_record(self) -> dict[str, Any]:
         """Return what decides the result of learning, for a key; empty without learning."""
         if not self.color_steps:
@@ -348,7 +357,7 @@ class Stages:
 
         def to_records(exact: SrbfColors) -> SrbfColors:
             """Round colors as the package does."""
-            return quantize(exact, "wire", reach=self.reach).dequantize()
+            return self.rounded(exact).dequantize()
 
         shown = levels.member(len(levels) - 1)
         return learn_lesson(levels.union, colors, lesson, to_records, shown=shown, progress=self.progress)
@@ -378,7 +387,9 @@ class Stages:
     def cost_name(self, levels: Levels, exact: SrbfColors) -> str:
         """Return the name of the file of the cost of rounding."""
         views = asdict(self.config.cost_views)
-        key = self._key("cost", levels=_content(levels), colors=colors_hash(exact), views=views, space=self.space_hash)
+        colors = colors_hash(exact)
+        bits = self._precision_record()
+        key = self._key("cost", levels=_content(levels), colors=colors, views=views, space=self.space_hash, **bits)
         return f"cost-{key}.json"
 
     def cost(self, levels: Levels, exact: SrbfColors, packed: QuantizedColors) -> Cost:
@@ -405,6 +416,7 @@ class Stages:
             epsilon=epsilon,
             views=asdict(self.config.fidelity_views),
             space=self.space_hash,
+            **self._precision_record(),
         )
         return f"fidelity-{key}.json"
 

@@ -209,7 +209,7 @@ class StageTrial:
         """The levels with colors like those that were fitted, before and after rounding."""
         found = self._fitted[0].colors
         colors = found[np.arange(len(self._levels.union)) % len(found)]
-        return self._levels, colors, quantize(colors, "wire")
+        return self._levels, colors, quantize(colors, self._config.colors.precision)
 
     def _measure(self, count: float, measure: Callable[[Cameras], object], views: Any) -> float:
         """Return the seconds to measure `count` views, from measurements of one and of three."""

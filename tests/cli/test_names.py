@@ -54,6 +54,7 @@ KERNELS = {
     "--page-origins": "Other origins",
     "--path": "Walk ",
     "--photos": "Photographs to train ",
+    "--precision": "Bits of colors and terms",
     "--port": "Port",
     "--pvs": "Visible sets of SCENE",
     "--report": "Report to write: a folder for report.html",

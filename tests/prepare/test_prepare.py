@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from gsvis.color.fit import FitConfig
+from gsvis.color.records import PRECISIONS
 from gsvis.errors import FormatError, SceneError
 from gsvis.jobs.workers import Workers
 from gsvis.package import Package, Spread, in_package_order
@@ -255,6 +256,14 @@ def test_colors_learn_from_renders_on_request(
     assert found.learned["from"] == "renders"
     with Package.open(again) as package:
         assert package.manifest.info.provenance["learned_colors"] == found.learned
+
+
+def test_coarse_records_hold_the_same_colors_in_fewer_bits(again: Path, rooms: OccluderScene) -> None:
+    found = prepare(rooms, again, replace(CONFIG, colors=replace(CONFIG.colors, precision="coarse")))
+    assert new(found) == ["colors", "cost", "fidelity", "package"]
+    assert found.manifest.grids.precision == PRECISIONS["coarse"]
+    with Package.open(again) as package:
+        assert package.contents.term_counts.any()
 
 
 def test_an_edit_of_the_scene_is_seen(tmp_path: Path) -> None:
