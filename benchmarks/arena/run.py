@@ -33,11 +33,14 @@ from arena.budget import Allowance
 from arena.course import Course, write_synthetic_photos
 from arena.judge import final_psnr, judge
 from arena.links import CLASSES, drawn_links, recorded_links
-from arena.report import compare, figures_of, sizes_table, streams_table, summarize
+from arena.report import compare, figures_of, find_weak, sizes_table, streams_table, summarize
 from arena.stages import Playable
 from arena.systems import SYSTEMS, System, trained
 from gsvis.errors import GsvisError
 from gsvis.simulate import Link
+
+PLAIN = "3DGS, PLY"
+"""What copies are compared with to find weak ones."""
 
 QUESTION = "Which system shows a walk best that has the same photographs, the same processor time and the same link?"
 
@@ -83,7 +86,8 @@ def run(options: argparse.Namespace) -> None:
     means.sort(key=lambda each: float(each["mbit"]))
     ours = SYSTEMS[0].name
     differences = compare(rows, ours) if ours in options.systems else []
-    print(f"{sizes_table(systems)}\n\n{streams_table(means, differences)}\n")
+    weak = find_weak(systems, PLAIN)
+    print(f"{sizes_table(systems)}\n\n{streams_table(means, differences, weak)}\n")
     details = {
         "scene": course.name,
         "size": course.size,
@@ -92,11 +96,12 @@ def run(options: argparse.Namespace) -> None:
         "allowance": asdict(allowance),
         "links": {f"{mbit:g}": [link.trace.name for link in found] for mbit, found in links.items()},
         "systems": systems,
+        "weak": weak,
         "means": means,
         "differences": differences,
-        "sessions": rows,
+        "sessions": [{name: value for name, value in row.items() if name != "curve"} for row in rows],
     }
-    write_result(options.out, QUESTION, figures_of(differences), details)
+    write_result(options.out, QUESTION, figures_of(differences, weak), details)
 
 
 def open_course(options: argparse.Namespace) -> Course:

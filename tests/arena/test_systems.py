@@ -11,7 +11,7 @@ from arena import run
 from arena.budget import Allowance
 from arena.course import Course
 from arena.files import load_arrays, save_arrays
-from arena.report import figures_of, sizes_table, streams_table
+from arena.report import figures_of, find_weak, sizes_table, streams_table
 from arena.systems import SYSTEMS, Training, trained
 from arena.systems.gaussians import SYSTEMS as GAUSSIANS
 from arena.systems.ours import PACKAGE, open_package
@@ -116,6 +116,12 @@ def test_the_command_plays_and_writes_one_result(
         run.main()
 
 
+def test_a_copy_far_below_plain_3dgs_is_weak() -> None:
+    systems = [{"name": "plain", "psnr": 29.0}, {"name": "a", "psnr": 27.9}, {"name": "b", "psnr": 28.1}]
+    assert find_weak(systems, "plain") == ["a"]
+    assert find_weak(systems, "none") == []
+
+
 def test_tables_say_what_never_came() -> None:
     mean = {
         "mbit": 3.0, "system": "a", "qoe_20": -1.0, "qoe_25": -2.0, "psnr": 20.0, "first_20": 1.5, "first_25": None,
@@ -126,10 +132,13 @@ def test_tables_say_what_never_came() -> None:
         "system": "a",
         "qoe_20": {"mean": 1.0, "low": 0.5, "high": 1.5},
         "psnr": None,
-        "psnr_ahead": 1,
+        "qoe_25": None,
+        "qoe_20_ahead": 1,
     }
     line = streams_table([mean], [apart]).splitlines()[-1]
-    assert "| 1.5 | never | +1.000 (0.500 to 1.500) |  | 1 of 2 |" in line
+    assert "| 1.5 | never | +1.000 (0.500 to 1.500) | 1 of 2 |  |  |" in line
     assert figures_of([apart])[0]["reached"] == 0.5
+    assert "a (weak copy)" in streams_table([mean], [apart], ["a"])
+    assert "a (weak copy)" in figures_of([apart], ["a"])[0]["name"]
     system = {"name": "a", "count": 1000, "bytes": 2e6, "psnr": 25.0, "seconds": 3.0, "published": ""}
     assert sizes_table([system]).splitlines()[-1] == "| a | 1,000 | 2.00 | 25.00 | 3 | - |"
