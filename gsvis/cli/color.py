@@ -361,6 +361,10 @@ def _rows(command: Color, source: Source, document: dict[str, Any]) -> list[tupl
     if terms["total"]:
         text = f"{terms['share_none']:.1%}, {terms['share_1_to_4']:.1%}, {terms['share_more']:.1%}"
         rows.append(("no term, 1 to 4, more", f"{text} of the Gaussians"))
+        if document["quality"]:
+            none, *few, more = document["quality"]["visible_by_active"]["shares"]
+            text = f"{none:.1%}, {sum(few):.1%}, {more:.1%} of the Gaussians that an eye sees"
+            rows.append(("no active term, 1 to 4, more", text))
     compared = ", ".join(f"{sizes[f'sh_{bits}']:g} with {bits} bits" for bits in (32, 16, 8))
     rows += [
         ("bytes of a color", f"{sizes['records']:.1f} as {document['precision']} records; SH: {compared}"),

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis._extras import has, remedy_of
 from gsvis.color.activation import Activation
+from gsvis.color.epsilon import DEFAULT_EPSILON
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.srbf import SrbfColors
 from gsvis.errors import BackendError
 from gsvis.progress import Progress, silent
 from gsvis.pvs.quality import PSNR_CAP
-from gsvis.render import flip, psnr, rasterize, ssim
+from gsvis.render import flip, psnr, rasterize, ssim, view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
@@ -29,6 +30,9 @@ __all__ = ["EPSILONS", "PSNR_CAP", "ColorQuality", "ColorQualityConfig", "measur
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+
+_VISIBLE = np.float32(1.0 / 255.0)  # least blending weight of a Gaussian that an eye sees
+_MANY = 5  # active terms of a Gaussian from which they are not counted apart
 
 EPSILONS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 """Epsilons at which the share of active terms is measured; the paper's epsilons are 0.01 to 0.05."""
@@ -98,6 +102,8 @@ class ColorQuality:
         epsilons: (E,) contributions above which terms are active.
         active_shares: (E, C) share of all terms that are active for the eye of each view; 0 if there are no terms.
         active_psnr: (E, C) PSNR of active terms against all terms, dB.
+        by_active: (6,) share of the Gaussians that an eye sees with 0, 1, ... 4 and more terms active at
+            `DEFAULT_EPSILON`, mean over the views.
         config: Options of the measurement.
     """
 
@@ -110,6 +116,7 @@ class ColorQuality:
     epsilons: F64
     active_shares: F64
     active_psnr: F64
+    by_active: F64
     config: ColorQualityConfig = field(default_factory=ColorQualityConfig)
 
     def as_dict(self) -> dict[str, Any]:
@@ -140,6 +147,7 @@ class ColorQuality:
                 {"epsilon": float(e), "share": float(s.mean()), "psnr": float(p.mean()), "psnr_worst": float(p.min())}
                 for e, s, p in zip(self.epsilons, self.active_shares, self.active_psnr, strict=True)
             ],
+            "visible_by_active": {"epsilon": DEFAULT_EPSILON, "shares": self.by_active.tolist()},
             "cameras": rows,
             "config": asdict(self.config),
         }
@@ -176,7 +184,7 @@ def measure_colors(
     ranks = colors.ranks
     evaluator = Evaluator(colors)
     activation = Activation(colors, g.means, 0.0)
-    measured: dict[str, list[Any]] = {name: [] for name in ("all", "base", "count", "share", "active")}
+    measured: dict[str, list[Any]] = {name: [] for name in ("all", "base", "count", "share", "active", "by")}
     progress("colors", 0, len(cameras))
     for c in range(len(cameras)):
         camera = cameras[c]
@@ -192,6 +200,7 @@ def measure_colors(
         measured["base"].append(_likeness(firsts[0], exact, config.flip))
         measured["count"].append([_psnr(firsts[int(k)], exact) for k in counts])
         contributions = activation.contributions(eye)
+        measured["by"].append(_by_active(g, camera, colors, contributions > np.float32(DEFAULT_EPSILON)))
         masks = [contributions > np.float32(epsilon) for epsilon in config.epsilons]
         measured["share"].append([float(mask.mean()) if len(mask) else 0.0 for mask in masks])
         measured["active"].append([_psnr(shown(mask), fitted) for mask in masks])
@@ -207,8 +216,17 @@ def measure_colors(
         np.array(config.epsilons),
         np.array(measured["share"]).T,
         np.array(measured["active"]).T,
+        np.mean(measured["by"], axis=0),
         config,
     )
+
+
+def _by_active(g: Gaussians, camera: Cameras, colors: SrbfColors, active: NDArray[np.bool_]) -> F64:
+    """Return (6,) the shares of the visible Gaussians with 0, 1, ... 4 and more active terms."""
+    seen = view_weights(g, camera).largest[0] >= _VISIBLE
+    numbers = np.bincount(colors.gaussian_ids[active], minlength=len(colors))[seen]
+    counts = np.bincount(np.minimum(numbers, _MANY), minlength=_MANY + 1)
+    return np.asarray(counts / max(1, len(numbers)))
 
 
 def _image(g: Gaussians, camera: Cameras, colors: F32 | None) -> F32:

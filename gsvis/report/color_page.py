@@ -158,6 +158,10 @@ def _active(document: dict[str, Any], figures: dict[str, Figure]) -> str:
         for each in quality["active"]
     ]
     text += table(("epsilon", "active for an eye", "PSNR against all terms, dB", "worst"), rows)
+    found = quality["visible_by_active"]
+    none, *few, more = found["shares"]
+    text += f"<p>Of the Gaussians that an eye sees, {none:.1%} have no active term at epsilon {found['epsilon']:g},"
+    text += f" {sum(few):.1%} have 1 to 4 and {more:.1%} have more.</p>"
     text += f"<p>The paper's epsilons are {low:g} to {high:g}."
     if epsilon is not None and epsilon["from"] == "calibrated":
         text += (

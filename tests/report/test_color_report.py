@@ -107,6 +107,10 @@ def test_the_document_holds_every_figure(kept: tuple[FittedColors, Path], scene:
     assert quality["by_count"][0]["psnr"] == quality["base_only"]["psnr"]["mean"]
     assert quality["by_count"][-1]["psnr"] == quality["all_terms"]["psnr"]["mean"]
     assert quality["by_count"][-1]["mean_terms"] == pytest.approx(document["terms"]["mean"])
+    shares = quality["visible_by_active"]["shares"]
+    assert len(shares) == 6
+    assert sum(shares) == pytest.approx(1.0)
+    assert shares[0] < 1.0  # some terms are active
     worst = min(quality["cameras"], key=lambda row: row["psnr"])
     assert worst["role"] == "worst"
     assert document["epsilon"]["from"] == "calibrated"
