@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from collections.abc import Iterable, Sequence
+from dataclasses import MISSING
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from gsvis.cli.options import Leaf, command_name, leaves, replaced
@@ -58,7 +60,21 @@ def misspelling(arguments: Sequence[str]) -> str | None:
                 near = _suggestion(value, choices)
                 known = f"{given}: expected one of {', '.join(choices)}, got {value[:80]!r}"
                 return known + (f"; {near}" if near else "")
-    return None
+    return _without_option(arguments, list(leaves(commands[name])))
+
+
+def _without_option(arguments: Sequence[str], known: Sequence[Leaf]) -> str | None:
+    """Return a message if what to write stands behind the input, as in `cp`, where the command has -o for it."""
+    wanted = {leaf.name: leaf for leaf in known if leaf.default is MISSING and not leaf.is_positional}
+    taken = [leaf for leaf in known if leaf.is_positional]
+    name, *words = arguments
+    places, options = _apart(words, known)
+    given = {word.partition("=")[0] for word in options}
+    if list(wanted) != ["out"] or given & {*names_of(wanted["out"]), "-h", "--help", "--help-all"}:
+        return None
+    if len(places) != len(taken) + 1 or any(get_origin(get_args(leaf.hint)[0]) is tuple for leaf in taken):
+        return None
+    return f"gsvis {name} writes where -o says: gsvis {name} {shlex.join(places[:-1])} -o {shlex.quote(places[-1])}"
 
 
 def paths_first(arguments: Sequence[str]) -> list[str]:
@@ -69,10 +85,18 @@ def paths_first(arguments: Sequence[str]) -> list[str]:
     if arguments[:1] != ["convert"]:
         return list(arguments)
     kind = next(kind for kind in _kinds() if command_name(kind) == "convert")
-    words = {name: _count_words(leaf) for leaf in leaves(kind) for name in names_of(leaf)}
+    paths, options = _apart(arguments[1:], leaves(kind))
+    if any(path.startswith("-") for path in paths):
+        return ["convert", *options, "--", *paths]
+    return ["convert", *paths, *options]
+
+
+def _apart(arguments: Sequence[str], known: Iterable[Leaf]) -> tuple[list[str], list[str]]:
+    """Return the arguments without a name, and the options with their values."""
+    words = {name: _count_words(leaf) for leaf in known for name in names_of(leaf)}
     paths = []
     options = []
-    rest = list(arguments[1:])
+    rest = list(arguments)
     while rest:
         word = rest.pop(0)
         if word == "--":
@@ -85,9 +109,7 @@ def paths_first(arguments: Sequence[str]) -> list[str]:
         count = max(0, words.get(_hyphens(name), 0) - bool(equals))
         options += [word, *rest[:count]]
         del rest[:count]
-    if any(path.startswith("-") for path in paths):
-        return ["convert", *options, "--", *paths]
-    return ["convert", *paths, *options]
+    return paths, options
 
 
 def axes_as_values(arguments: Sequence[str]) -> list[str]:

@@ -155,3 +155,25 @@ def test_a_folder_that_is_called_like_home_is_that_folder(monkeypatch: pytest.Mo
         assert (home / name).read_text() == "precious"
     assert {path.name for path in (here / "~").iterdir()} == {"a.ply", "b.ply", "b.spz", "b.sog", "c.ply"}
     assert {path.name for path in home.iterdir()} == {"b.ply", "b.spz", "b.sog"}
+
+
+@pytest.mark.parametrize("name", ["prepare", "color", "pvs", "levels", "cut", "export", "train"])
+def test_a_target_behind_the_input_is_answered_with_the_option(name: str) -> None:
+    message = misspelling([name, "in.ply", "my scene.out"])
+    assert message == f"gsvis {name} writes where -o says: gsvis {name} in.ply -o 'my scene.out'"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["prepare", "in.ply"],
+        ["prepare", "in.ply", "-o", "a.gsvis"],
+        ["prepare", "in.ply", "--out=a.gsvis"],
+        ["prepare", "in.ply", "--box", "1", "1", "1", "7", "3", "2"],
+        ["convert", "in.ply", "out.spz"],
+        ["serve", "a.gsvis", "b.gsvis"],
+        ["inspect", "a.ply", "b.ply"],
+    ],
+)
+def test_other_commands_are_left_to_the_parser(words: list[str]) -> None:
+    assert misspelling(words) is None
