@@ -7,6 +7,7 @@ error. Nothing here renders.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,10 +23,13 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import NUM_FACES, face_directions, face_shares
 from gsvis.scene.sh import sh_basis
 
-__all__ = ["FitConfig", "SrbfFit", "face_weights", "fit_srbf", "fitted_for_price"]
+__all__ = ["FitConfig", "SrbfFit", "WeighFaces", "face_weights", "fit_srbf", "fitted_for_price"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+
+WeighFaces = Callable[[NDArray[np.int64]], F32]
+"""Returns the weights >= 0 of the 80 faces (n, 80) for some Gaussians, by their numbers (n,)."""
 
 _CHUNK = 2048
 """Number of Gaussians fitted at a time; bounds memory."""
@@ -150,7 +154,7 @@ def face_weights(directions: ArrayLike | None, count: int) -> F32:
 
 def fit_srbf(
     g: Gaussians,
-    directions: ArrayLike | None = None,
+    directions: ArrayLike | WeighFaces | None = None,
     config: FitConfig | None = None,
     *,
     importance: ArrayLike | None = None,
@@ -164,7 +168,8 @@ def fit_srbf(
     Args:
         g: N Gaussians.
         directions: (N, 10) uint8 direction sets, or (N, 80) weights of the faces, from the Gaussian to the eye;
-            None for all directions. Directions outside a Gaussian's set do not affect its fit.
+            None for all directions. Directions outside a Gaussian's set do not affect its fit. A function that returns
+            such weights for some Gaussians saves memory: 320 bytes a Gaussian.
         config: Variant, number of terms, effort.
         importance: (N,) >= 0, weight of the error of each Gaussian, such as its summed squared blending weights
             over many views; equal by default. It decides which Gaussians get the terms.
@@ -178,21 +183,24 @@ def fit_srbf(
     """
     config = config or FitConfig()
     n = len(g)
-    weights = face_weights(directions, n)
+    weigh = _weigher(directions, n)
     counts = np.ones(n) if importance is None else _check.floats("importance", importance, (n,), np.float64)
     _check.in_range("importance", counts, 0.0, np.inf)
     pursuit = Pursuit(config)
     price = 0.0
     if config.mean_terms is not None and config.max_terms > 0 and n > 0:
-        price = _price(pursuit, g, weights, counts, _CAUTION * config.mean_terms, progress)
+        price = _price(pursuit, g, weigh, counts, _CAUTION * config.mean_terms, progress)
     terms: list[Terms] = []
+    unseen = 0
     progress("fit", 0, n)
     for start in range(0, n, _CHUNK):
         part = slice(start, min(start + _CHUNK, n))
-        fitted = _fit(pursuit, g[part], weights[part], counts[part], price)
+        weights = weigh(np.arange(part.start, part.stop))
+        unseen += int((weights.max(axis=1) <= 0.0).sum())
+        fitted = _fit(pursuit, g[part], weights, counts[part], price)
         terms.append(assemble(config, fitted, pursuit.directions))
         progress("fit", part.stop, n)
-    return _join(config, terms, price, int((weights.max(axis=1, initial=0.0) <= 0.0).sum()))
+    return _join(config, terms, price, unseen)
 
 
 def fitted_for_price(count: int, config: FitConfig) -> int:
@@ -210,6 +218,14 @@ def sample_colors(g: Gaussians) -> F32:
     return shown
 
 
+def _weigher(directions: ArrayLike | WeighFaces | None, count: int) -> WeighFaces:
+    """Return the function that weighs the faces of some Gaussians, from the `directions` argument of `fit_srbf`."""
+    if callable(directions):
+        return directions
+    weights = face_weights(directions, count)
+    return lambda ids: weights[ids]
+
+
 def _fit(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, price: float) -> SplitFit:
     """Return the fit of a slice of Gaussians at a price."""
     shares = face_shares(_PARTS).astype(np.float32)
@@ -219,7 +235,9 @@ def _fit(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, price: flo
     return pursuit.fit(sample_colors(g), weights, np.where(nowhere, 0.0, importance), price, nowhere)
 
 
-def _price(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, mean_terms: float, progress: Progress) -> float:
+def _price(
+    pursuit: Pursuit, g: Gaussians, weigh: WeighFaces, importance: F64, mean_terms: float, progress: Progress
+) -> float:
     """Return the price of a term at which Gaussians have `mean_terms` on average.
 
     Uses the error curves of a sample: every k-th Gaussian by importance, because few Gaussians hold most of it. A first
@@ -241,7 +259,7 @@ def _price(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, mean_ter
         costs: list[tuple[F64, F64]] = []
         for start in range(0, len(ids), _CHUNK):
             chosen = ids[start : start + _CHUNK]
-            fitted = _fit(limited, g[chosen], faces[chosen], importance[chosen], price)
+            fitted = _fit(limited, g[chosen], weigh(chosen), importance[chosen], price)
             costs.extend(fitted.costs(importance[chosen], pursuit.config.width_price))
             done += len(chosen)
             progress("price", done, total)

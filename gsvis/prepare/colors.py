@@ -163,12 +163,18 @@ def prepare_colors(
         seen = importance_from_views(g, views, progress=progress)
         found["sets"] |= seen.sets
         found["importance"], found["shares"] = seen.importance, seen.shares
+        del seen  # 320 bytes a Gaussian
         if kept is not None:
             kept.keep_arrays(_FOUND, found)
     directions = found["sets"] if given is None else found["sets"] | given
     sources += "" if levels_record(g) is None else ", in each level"
-    weighed = config.directions == "weighed"
-    seen_from = direction_weights(directions, found.get("shares")) if weighed else directions
+    shares = found.get("shares")
+
+    def weigh(ids: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the weights of the faces of some Gaussians."""
+        return direction_weights(directions[ids], None if shares is None else shares[ids])
+
+    seen_from = weigh if config.directions == "weighed" else directions
     fit = fit_srbf(union, seen_from, config.fit, importance=found["importance"], progress=progress)
     return ColorPreparation(fit, directions, found["importance"], views, sources)
 

@@ -7,6 +7,7 @@ alone. The importance of a Gaussian is the mean over the levels that have it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ from gsvis.scene.levels import Levels, as_levels, level_scenes, union_of
 __all__ = ["ViewImportance", "direction_weights", "importance_from_views"]
 
 _FLOOR = 1e-4
+_PART = 1 << 16  # Gaussians at a time
 _EVEN = 0.7  # share of a color's weight that is the same for all directions of its set; the rest follows the views
 _OUTSIDE = 0.003  # weight of a direction outside the set; a color that nothing bounds there can be far off
 
@@ -40,13 +42,18 @@ class ViewImportance:
     @property
     def sets(self) -> NDArray[np.uint8]:
         """(N, 10) uint8 direction sets: the faces from which any view sees the Gaussian."""
-        return np.packbits(self.faces > 0, axis=1, bitorder="little")
+        return _by_parts(self.faces, lambda faces: np.packbits(faces > 0, axis=1, bitorder="little"))
 
     @property
     def shares(self) -> NDArray[np.uint8]:
         """(N, 80) share of each face in the sum over all faces, 255 for all of it; zeros for a Gaussian never seen."""
-        summed = np.maximum(self.faces.sum(axis=1), np.float32(1e-30))
-        return np.asarray(np.rint(self.faces * (255.0 / summed)[:, None]), np.uint8)
+
+        def share(faces: NDArray[np.float32]) -> NDArray[np.uint8]:
+            """Return the shares of some rows."""
+            summed = np.maximum(faces.sum(axis=1), np.float32(1e-30))
+            return np.asarray(np.rint(faces * (255.0 / summed)[:, None]), np.uint8)
+
+        return _by_parts(self.faces, share)
 
     @property
     def importance(self) -> NDArray[np.float64]:
@@ -57,6 +64,11 @@ class ViewImportance:
         summed = self.faces.sum(axis=1, dtype=np.float64)
         floor = _FLOOR * float(summed.mean()) if len(summed) else 0.0
         return np.asarray(summed + floor)
+
+
+def _by_parts(faces: NDArray[np.float32], of: Callable[[NDArray[np.float32]], NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """Return what a function returns for all rows, called for some at a time to bound memory."""
+    return np.concatenate([of(faces[start : start + _PART]) for start in range(0, max(len(faces), 1), _PART)])
 
 
 def direction_weights(sets: NDArray[np.uint8], shares: NDArray[np.uint8] | None) -> NDArray[np.float32]:

@@ -18,6 +18,7 @@ I64 = NDArray[np.int64]
 
 _SIDE = 2**20  # voxels to either side of the middle; points beyond use the outermost voxel
 _MOST_OPAQUE = 0.996  # the largest value of a byte
+_PART = 1 << 16  # Gaussians merged at a time; bounds memory
 _KNUD_THOMSEN = 1.6  # surface of an ellipsoid to about 1%
 
 
@@ -102,26 +103,40 @@ def merge_by_cell(g: Gaussians, cells: I64) -> Gaussians:
     """
     number = int(cells.max()) + 1
     order = np.argsort(cells, kind="stable")
-    starts = np.searchsorted(cells[order], np.arange(number))
+    ends = np.append(np.searchsorted(cells[order], np.arange(number)), len(order))
+    middle = np.median(g.means, axis=0).astype(np.float64)
+    parts = []
+    first = 0
+    while first < number:
+        last = max(first + 1, int(np.searchsorted(ends, ends[first] + _PART, side="right")) - 1)
+        rows = order[ends[first] : ends[last]]
+        parts.append(_merge_runs(g[rows], ends[first:last] - ends[first], middle))
+        first = last
+    return Gaussians.concatenate(parts)
+
+
+def _merge_runs(g: Gaussians, starts: I64, middle: F64) -> Gaussians:
+    """Merge each run of neighboring rows into one; `starts` (M,) has the first row of each, `middle` (3,) an origin."""
+    number = len(starts)
+    lengths = np.diff(np.append(starts, len(g)))
     shadows = mean_shadows(g.scales.astype(np.float64))
     weights = np.maximum(g.opacities * shadows, 1e-30)  # cells of invisible Gaussians need a mean too
-    total = np.add.reduceat(weights[order], starts)
+    total = np.add.reduceat(weights, starts)
 
     def mean(values: NDArray[np.floating]) -> F64:
-        """Return the weighted mean of values in each cell."""
+        """Return the weighted mean of values in each run."""
         weighted = values.reshape(len(values), -1) * weights[:, None]
-        sums = np.add.reduceat(weighted[order], starts, axis=0) / total[:, None]
+        sums = np.add.reduceat(weighted, starts, axis=0) / total[:, None]
         return sums.reshape(number, *values.shape[1:])
 
-    middle = np.median(g.means, axis=0).astype(np.float64)
     means = mean(g.means - middle)
-    away = (g.means - middle) - means[cells]
+    away = (g.means - middle) - np.repeat(means, lengths, axis=0)
     covars = mean(g.covars() + away[:, :, None] * away[:, None, :])
     squares, axes = np.linalg.eigh(covars)
     scales = np.sqrt(np.maximum(squares, np.maximum(1e-12 * squares[:, 2:], 1e-18)))
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
-    visible = np.add.reduceat((g.opacities * shadows)[order], starts)
-    alone = np.bincount(cells, minlength=number) == 1
+    visible = np.add.reduceat(g.opacities * shadows, starts)
+    alone = lengths == 1
     merged = {
         "means": means + middle,
         "quats": quats_from_rotations(axes),
@@ -130,7 +145,7 @@ def merge_by_cell(g: Gaussians, cells: I64) -> Gaussians:
         "sh0": mean(g.sh0),
         "shN": mean(g.shN) if g.sh_degree else np.zeros((number, 0, 3)),
     }
-    same = order[starts[alone]]
+    same = starts[alone]
     for name, values in merged.items():
         values[alone] = getattr(g, name)[same]
     return Gaussians(**merged, facts=g.facts)

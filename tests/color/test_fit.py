@@ -109,6 +109,26 @@ def test_sets_of_bits_and_of_booleans_mean_the_same() -> None:
     np.testing.assert_array_equal(left.colors.intensities, right.colors.intensities)
 
 
+def test_weights_may_come_for_some_gaussians_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    g, faces = scene(90), caps(90)
+    faces[7] = False
+    config = FitConfig(mean_terms=2.0, max_terms=3)
+    importance = np.random.default_rng(1).uniform(size=90)
+    whole = fit_srbf(g, faces, config, importance=importance)
+    asked: list[np.ndarray] = []
+    monkeypatch.setattr("gsvis.color.fit._CHUNK", 32)
+
+    def weigh(ids: np.ndarray) -> np.ndarray:
+        asked.append(ids)
+        return faces[ids].astype(np.float32)
+
+    parts = fit_srbf(g, weigh, config, importance=importance)
+    assert max(map(len, asked)) <= 32
+    assert (parts.price, parts.unseen) == (whole.price, 1)
+    assert np.array_equal(parts.errors, whole.errors)
+    assert np.array_equal(parts.colors.intensities, whole.colors.intensities)
+
+
 def test_a_gaussian_is_fitted_alike_in_any_company() -> None:
     g, faces = scene(2100), caps(2100)  # more than one chunk
     config = FitConfig(mean_terms=None, max_terms=2)

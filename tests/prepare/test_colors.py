@@ -74,11 +74,15 @@ def test_directions_weigh_by_their_set_and_by_what_views_see_of_them() -> None:
     np.testing.assert_array_equal(even[1], weights[0])
 
 
-def test_shares_are_those_of_the_importance() -> None:
+def test_shares_are_those_of_the_importance(monkeypatch: pytest.MonkeyPatch) -> None:
     g, scene = rooms().gaussians, rooms()
     seen = importance_from_views(g, QUICK.views.cameras(g, scene.navigable))
     share = seen.faces / np.maximum(seen.faces.sum(axis=1, keepdims=True), 1e-30)
     np.testing.assert_allclose(seen.shares / 255.0, share, atol=0.5 / 255.0 + 1e-6)
+    whole = seen.shares, seen.sets
+    monkeypatch.setattr("gsvis.prepare.importance._PART", 300)
+    assert np.array_equal(seen.shares, whole[0])
+    assert np.array_equal(seen.sets, whole[1])
 
 
 def test_a_preparation_that_was_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

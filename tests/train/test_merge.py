@@ -70,6 +70,17 @@ def test_moments_of_any_cells_are_those_of_their_mixtures() -> None:
         )
 
 
+@pytest.mark.parametrize("part", [1, 7, 40])
+def test_the_size_of_parts_changes_no_bit(part: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    g, cells = cloud(600), np.random.default_rng(2).permutation(np.arange(600) ** 2 // 7200)
+    cells = np.unique(cells, return_inverse=True)[1]  # cells of 1 to 85
+    whole = merge_by_cell(g, cells)
+    monkeypatch.setattr("gsvis.train.merge._PART", part)
+    parts = merge_by_cell(g, cells)
+    for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
+        assert np.array_equal(getattr(whole, name), getattr(parts, name)), name
+
+
 def test_the_thinnest_axis_is_a_millionth_of_the_longest_at_least() -> None:
     flat = Gaussians(
         [[-9.0, 0, 0], [9.0, 0, 0]], [[1, 0, 0, 0]] * 2, [[5.0, 5.0, 1e-8]] * 2, [0.5] * 2, np.zeros((2, 1, 3))
