@@ -62,10 +62,14 @@ def main() -> None:
     unknown = [name for name in options.systems if name not in names]
     if unknown:
         parser.error(f"--systems: expected some of {', '.join(names)}; got {unknown[0]!r}")
+    if options.links < 1 or not options.mbit or min(options.mbit) <= 0:
+        parser.error("--links, --mbit: expected at least one link and rates above 0")
     try:
         run(options)
     except (GsvisError, ValueError, OSError) as error:
         raise SystemExit(f"error: {error}") from None
+    except KeyboardInterrupt:
+        raise SystemExit("interrupted; trainings that were complete are kept") from None
 
 
 def run(options: argparse.Namespace) -> None:

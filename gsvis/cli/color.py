@@ -114,7 +114,8 @@ def color_config(fit: Fit, views: ViewSampling) -> ColorConfig:
     from gsvis.color.fit import FitConfig
     from gsvis.prepare.colors import ColorConfig
 
-    config = config_of(FitConfig, fit, refine=fit.fit == "lobes")
+    epsilon = values_of(fit).get("epsilon") or None  # 0 is auto, which is found when the fit is done
+    config = config_of(FitConfig, fit, refine=fit.fit == "lobes", epsilon=epsilon)
     if config.mean_terms == math.inf:
         config = replace(config, mean_terms=None)
     rays = ColorConfig.rays_per_face if fit.directions == "weighed" else 0

@@ -99,3 +99,14 @@ def test_without_open3d_only_what_traces_by_it_is_refused(monkeypatch: pytest.Mo
         check_tracer("embree", certify=256)
     with pytest.raises(MissingExtraError, match="open3d"):
         check_tracer("embree")
+
+
+def test_the_fit_keeps_its_own_epsilon_while_that_of_the_scene_is_not_found() -> None:
+    from gsvis.cli.prepare import check_arguments
+    from gsvis.color.fit import FitConfig
+
+    for words in ([SWITCH], ["--epsilon", "auto"], ["--epsilon", "0.05"]):
+        command = parse(["prepare", "builtin:two_rooms", "-o", "a.gsvis", *words])
+        config = check_arguments(command)
+        assert config.epsilon == (0.05 if "0.05" in words else None)
+        assert config.colors.fit.epsilon == (config.epsilon or FitConfig.epsilon)
