@@ -29,6 +29,7 @@ from gsvis.files.atomic import atomic_path
 from gsvis.files.fields import parse_object
 from gsvis.files.limits import read_whole
 from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
+from gsvis.jobs.freed_memory import release_freed_memory
 from gsvis.jobs.work_folder import WorkFolder, digest_of_folder
 from gsvis.jobs.workers import Workers
 from gsvis.package import Contents, Cost, ExactLevel, Fidelity, in_package_order, measure_cost, measure_fidelity
@@ -546,6 +547,7 @@ class Stages:
         began = time.perf_counter()
         done = list[bool]()
         yield done
+        release_freed_memory()
         self.records.append(StageRecord(name, not done, time.perf_counter() - began))
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from gsvis.errors import GsvisError
 from gsvis.files.output import output_errors
 from gsvis.jobs.crew import Crew
+from gsvis.jobs.freed_memory import release_freed_memory
 from gsvis.jobs.processes import limit_threads, one_at_a_time, ready
 from gsvis.pvs._journal import pack_sighting, pack_view, unpack_sighting
 from gsvis.pvs.cell_view import Finder
@@ -149,6 +150,7 @@ def perform(scene: SceneArrays, task: Task) -> bytes:
 def forget_scene() -> None:
     """Release the memory of the last scene."""
     ready.clear()
+    release_freed_memory()
 
 
 def ready_tracer(key: str) -> Tracer | None:

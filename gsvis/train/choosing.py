@@ -178,7 +178,7 @@ class _State:
         self.kept = kept
         self.sums = sums
         self.seen = seen
-        self._left = g[kept]
+        self._left = g if len(kept) == len(g) else g[kept]
 
     def look(self, batch: NDArray[np.int64], count: int) -> None:
         """Measure by some cameras, with each Gaussian present by its probability to be among `count`."""

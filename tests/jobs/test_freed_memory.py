@@ -1,0 +1,43 @@
+"""Freed memory goes back to the system, and nothing that is in use changes."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.jobs.freed_memory import release_freed_memory
+
+BLOCK = 64 << 10  # below the size from which a block is given back at once
+BLOCKS = 1600
+
+
+def resident() -> int:
+    """Bytes of this process in memory."""
+    return 4096 * int(Path("/proc/self/statm").read_text().split()[1])
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc, which Linux has")
+def test_freed_blocks_between_used_ones_go_back_to_the_system() -> None:
+    if not hasattr(ctypes.CDLL(None), "malloc_trim"):
+        pytest.skip("needs glibc")
+    blocks = [np.full(BLOCK, k % 251, np.uint8) for k in range(BLOCKS)]
+    kept = blocks[::16]
+    del blocks
+    before = resident()
+    release_freed_memory()
+    assert before - resident() > BLOCK * BLOCKS // 2
+    assert all((block == 16 * k % 251).all() for k, block in enumerate(kept))
+
+
+def test_without_that_allocator_nothing_happens(monkeypatch: pytest.MonkeyPatch) -> None:
+    for problem in (AttributeError, OSError, TypeError):
+
+        def fail(_name: object, problem: type[Exception] = problem) -> None:
+            raise problem("no such library")
+
+        monkeypatch.setattr(ctypes, "CDLL", fail)
+        release_freed_memory()
