@@ -51,8 +51,8 @@ class LearnConfig:
     """
 
     steps: int = 300
-    base_rate: float = 2.5e-3
-    intensity_rate: float = 2.5e-3
+    base_rate: float = 5e-3
+    intensity_rate: float = 5e-3
     center_rate: float = 1e-2
     decay_rate: float = 1e-2
     sh_rate: float = 1.25e-4
