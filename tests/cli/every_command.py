@@ -35,7 +35,7 @@ COMMANDS = {
     "analyze": f"analyze {{ply}} -o {{out}} {LOOK}",
     "pvs": f"pvs {{ply}} -o {{out}}/a.pvs --cells 4 --face-size 16 --workers 1 --certify 256 --max-inner 1 {BOX}",
     "pvs-report": "pvs-report {pvs} {ply} -o {out} --cells 2 --eyes 1 --dense 1 --width 24 --height 18",
-    "color": "color {ply} -o {out}/a.arrow --views 2 --held-out 0 --width 24 --height 18 --max-terms 1",
+    "color": "color {ply} -o {out}/a.arrow --views 2 --held-out 0 --width 24 --height 18 --max-terms 1 --color-steps 0",
     "train": "train {photos} -o {out}/a.ply --steps 4 --evaluate-every 4 --sh-degree 0 --overwrite",
     "levels": "levels {ply} -o {out} --steps 2 --width 24 --height 20 --views 2 --held-out 1",
     "prepare": "prepare {ply} -o {out}/a.gsvis --levels none --cells 2 --face-size 16 --limit 0.05 --max-inner 1"

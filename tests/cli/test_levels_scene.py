@@ -20,6 +20,7 @@ Capture = pytest.CaptureFixture[str]
 CELLS = ["--cells", "4", "--face-size", "16", "--workers", "1", "--certify", "256", "--max-inner", "1"]
 BOX = ["--box", "0.5", "0.5", "0.5", "3.5", "3.5", "2.5"]
 TERMS = ["--views", "2", "--held-out", "1", "--width", "32", "--height", "24", "--max-terms", "1", "--mean-terms", "1"]
+TERMS += ["--color-steps", "0"]
 
 
 @pytest.fixture(scope="module")

@@ -44,6 +44,7 @@ COMMANDS = {
     "pvs-report": ["pvs-report", "../rooms.pvs", "../rooms.ply", "-o", "out", "--cells", "1", "--eyes", "1",
                    "--dense", "0", *VIEW],
     "color": ["color", "../rooms.ply", "-o", "out.arrow", "--views", "2", "--held-out", "1", *VIEW, "--max-terms", "1",
+              "--color-steps", "2",
               "--report", "report"],
     "levels": ["levels", "../rooms.ply", "-o", "out", "--steps", "3", "--views", "2", "--held-out", "1",
                "--width", "32", "--height", "24"],
