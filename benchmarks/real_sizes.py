@@ -15,6 +15,7 @@ import argparse
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -50,7 +51,7 @@ def main() -> None:
     parser.add_argument("--commands", nargs="+", choices=COMMANDS, default=["prepare"])
     parser.add_argument("--words", default="", help="more words for the commands, such as '--cells 4 --steps 12'")
     parser.add_argument("--threads", type=int, default=2, help="threads of each command")
-    parser.add_argument("--work", type=Path, help="folder for scenes and packages; kept")
+    parser.add_argument("--work", type=Path, help="folder for scenes, kept, and what is made of them")
     options = parser.parse_args()
     runs: dict[str, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as temporary:
@@ -59,6 +60,7 @@ def main() -> None:
             scene = work / f"copies_{size:g}M.ply"
             if not scene.exists():
                 build(scene, round(size * MILLION))
+            shutil.rmtree(work / f"{size:g}M", ignore_errors=True)  # of an earlier run
             runs[f"{size:g}M"] = {
                 command: run([command, str(scene), *options.words.split()], work / f"{size:g}M", options.threads)
                 for command in options.commands
