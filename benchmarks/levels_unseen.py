@@ -2,13 +2,15 @@
 
 For each scene: levels of 25 and 50% by `train_levels`, with a share of 90 and 96% reused, beside both decimations of
 splat-transform at the same counts. All are judged by 16 views of each of three rules: where eyes may be, near detail
-(both rules also give views to choose and train by, with other seeds), and around (`_around`), which nothing in gsvis
-uses. Processor time is that of this process: drawing views, choosing, merging and training.
+(both rules also give views to choose and train by, with other seeds), and one that nothing in gsvis uses: around, or in
+rooms recorded heads brought into the scene. Processor time is that of this process: drawing views, choosing, merging
+and training.
 
 Given: scenes, shares and reuse, steps, views.
 Measured: PSNR of these views against the full scene, mean and worst, all and by rule; processor time.
 Defaults chosen on: massa and flowers (near views and their share, pairs instead of voxels, rates), and the price of
-color by views of massa, nika and flowers. The other scenes chose nothing.
+    color by views of massa, nika and flowers. That rooms have near views too was chosen on showroom, and how rates
+    depend on the start on two rooms, gsplayer, massa, flowers, nika, relief and flat. The other scenes chose nothing.
 """
 
 from __future__ import annotations
@@ -27,12 +29,14 @@ from _harness import add_arguments, realdata, write_result
 from _rivals import decimated
 from numpy.typing import NDArray
 
-from gsvis.io import load_scene
+from gsvis.io.eyenav import read_eyenav
+from gsvis.io.sources import load_source
 from gsvis.render import psnr, rasterize
 from gsvis.render.judges import find_judges
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.retarget import RetargetConfig, retarget
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.level_views import draw_views
 from gsvis.train.levels import LevelsConfig, train_levels
@@ -47,10 +51,13 @@ SCENES = {
     "gsplayer": ("formats/gsplayer_scene.compressed.ply", None, None),
     "relief": ("uncropped/relief.sog", None, "-y"),
     "showroom": ("showroom/lod-meta.json", 3, "+z"),
+    "flat": ("builtin:flat", None, "+z"),
+    "two rooms": ("builtin:two_rooms", None, "+z"),
 }
 JUDGES = ViewSampling(16, 320, 240, 75.0, 99)
 STREAMS = 3, 7
 FOV = 77.3
+USERS = 103, 108  # of EyeNavGS
 AROUND = 0.25, 1.5  # distance from what is looked at, over the radius of the middle of the scene
 CLOSE = 0.15  # of this radius: a ball around an eye that may hold
 FEW = 0.002  # at most this share of the Gaussians
@@ -79,12 +86,27 @@ def around(g: Gaussians, count: int, seed: int) -> Cameras:
 
 
 def judging_cameras(g: Gaussians, space: NavigableSpace) -> dict[str, Cameras]:
-    """Return up to 16 views of each rule; none around rooms, which are seen from within."""
+    """Return up to 16 views of each rule; in rooms recorded heads in place of views around."""
     one, two = STREAMS
     far = replace(JUDGES, stream=one).cameras(g, space)
     near = find_judges(g, replace(JUDGES, stream=two), space.witnesses).cameras
     found = {"far": far, "near": near}
-    return found if space.kind.kind == "rooms" else found | {"around": around(g, JUDGES.count, 5)}
+    if space.kind.kind == "rooms":
+        return found | {"walks": walking(space, JUDGES.count // len(USERS))}
+    return found | {"around": around(g, JUDGES.count, 5)}
+
+
+def walking(space: NavigableSpace, each: int) -> Cameras:
+    """Return views of recorded heads, evenly spaced in time, brought into rooms."""
+    viewmats = []
+    for user in USERS:
+        recorded = read_eyenav(realdata() / "traces" / "eyenav_rutgers" / "room" / f"user{user}_room.csv.gz")
+        moved = retarget(recorded, space, RetargetConfig(seed=user, project=True)).path
+        walk = moved.resample(times=np.linspace(0.0, moved.duration, each))
+        cameras = walk.cameras(JUDGES.width, JUDGES.height, JUDGES.fov)
+        viewmats.append(cameras.viewmats)
+    Ks = np.tile(cameras.Ks[:1], (each * len(USERS), 1, 1))
+    return Cameras(np.concatenate(viewmats), Ks, JUDGES.width, JUDGES.height)
 
 
 def judged(g: Gaussians, cameras: dict[str, Cameras], targets: dict[str, NDArray[np.float32]]) -> dict[str, Any]:
@@ -111,8 +133,7 @@ def _draw(g: Gaussians, cameras: Cameras) -> NDArray[np.float32]:
 def compare(name: str, arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """Rows of one scene, one for each level and method."""
     file, lod, up = SCENES[name]
-    path = realdata() / "scenes" / file
-    g = load_scene(path) if lod is None else load_scene(path, lod=lod)
+    g = load_source(file if file.startswith("builtin:") else str(realdata() / "scenes" / file), lod).gaussians
     space = NavigableSpace.from_scene(g, up=up) if up else NavigableSpace.from_scene(g)
     cameras = judging_cameras(g, space)
     target = {name: _draw(g, each) for name, each in cameras.items()}

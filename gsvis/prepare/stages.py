@@ -68,7 +68,7 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 __all__ = ["VERSIONS", "StageColors", "StageRecord", "Stages", "around_of"]
 
 VERSIONS = {
-    "levels": 7,
+    "levels": 8,
     "sets": 4,
     "joined": 3,
     "colors": 2,

@@ -2,8 +2,8 @@
 
 Viewpoints of renders lie in navigable space, outside of solid parts. Views to measure on are independent of those to
 train on. Levels are chosen and trained by wide views: one costs little more than a narrow view and shows several times
-as much, so that few parts of a scene are seen by only a few cameras. Outside of rooms half of them look at detail from
-near, wherever navigable space lies, so that a wrong space costs little. Scene frame; OpenCV cameras.
+as much, so that few parts of a scene are seen by only a few cameras. Some look at detail from near (half of those to
+train by), wherever navigable space lies, so that a wrong space costs little. Scene frame; OpenCV cameras.
 docs/design/019-levels.md compares them.
 """
 
@@ -111,7 +111,7 @@ def draw_views(
         asked.append(replace(sampling, count=held_out, stream=sampling.stream + 1))
     total = sum(each.count for each in asked)
     found: list[PosedImages] = []
-    to_train, to_choose = _near_cameras(g, space, sampling)
+    to_train, to_choose = _near_cameras(g, sampling)
     places = [each.cameras(g, space) for each in asked]
     places[0] = _mix(to_train, places[0])
     for cameras in places:
@@ -130,15 +130,13 @@ def draw_views(
     return LevelViews(found[0], found[1] if held_out else None, drawn, False, many, space=space)
 
 
-def _near_cameras(g: Gaussians, space: NavigableSpace, sampling: ViewSampling) -> tuple[Cameras, Cameras]:
-    """Return cameras near detail to train by and to choose by; none in rooms, whose space holds them.
+def _near_cameras(g: Gaussians, sampling: ViewSampling) -> tuple[Cameras, Cameras]:
+    """Return cameras near detail to train by and to choose by.
 
     They follow the rule of judge's eyes, with a seed of their own.
     """
     to_train = round(NEAR * sampling.count)
     count = to_train + round(NEAR_CHOOSING * CHOOSING * sampling.count)
-    if space.kind.kind == "rooms":
-        count = 0
     asked = replace(views_to_train(sampling), count=count, fov=sampling.fov, seed=sampling.seed + _OTHER_SEED)
     near = find_judges(g, asked).cameras
     return near[:to_train], near[to_train:]

@@ -35,6 +35,7 @@ from gsvis.train.fill_in import fit_opacities
 from gsvis.train.history import Record
 from gsvis.train.images import PosedImages
 from gsvis.train.importance import ROUNDS, most_important, prune, rank_by_error
+from gsvis.train.likeness import mean_psnr
 from gsvis.train.pairs import merge_pairs
 
 __all__ = ["CHOICES", "SUBSETS", "LevelsConfig", "TrainedLevels", "frozen_sizes", "train_levels"]
@@ -49,7 +50,10 @@ CHOICES = ("removal", "gradient")
 
 _FAINT = 0.05  # opacity of a clone of a Gaussian that stays
 _PREVIEW_NAME = "preview"
-_SLOW = 0.2  # of the learning rates of a level that resembles its images
+# Learning rates of a level by how far it begins from its images: see `_slowed`.
+_SLOWEST = 0.45
+_FULL = 27.0  # dB, up to which they are full
+_LOOKED_AT = 16  # images
 _CHOICE = 2  # increase it if the same cameras would choose different Gaussians
 
 
@@ -280,7 +284,7 @@ def train_levels(
                 begin = fit_opacities(begin, scene[stays], views)
         training = config.training(total, scene.sh_degree)
         if frozen and config.merged and choose_by is not None:  # it resembles its images already
-            training = _slow(training)
+            training = _slowed(training, Gaussians.concatenate([scene[stays], begin]), views)
         trainer = Trainer(views, begin, training, frozen=scene[stays], held_out=held_out, space=space)
         kept = None if work is None else Path(work) / f"{name}.checkpoint"
         result = trainer.run(checkpoint=kept, progress=report)
@@ -299,10 +303,17 @@ def _clone_one(stays: Gaussians) -> Gaussians:
     return replace(one, opacities=np.minimum(one.opacities, np.float32(_FAINT)))
 
 
-def _slow(training: TrainConfig) -> TrainConfig:
-    """Return the same training with lower rates: at full rates views that differ from those trained on get worse."""
+def _slowed(training: TrainConfig, begin: Gaussians, views: PosedImages) -> TrainConfig:
+    """Return the same training with rates in proportion to the squared error that a level begins with.
+
+    Near its images full rates make views worse that nobody trained on; far from them low rates do not get there.
+    docs/design/019-levels.md has both for eight scenes.
+    """
+    some = views[np.unique(np.linspace(0, len(views) - 1, _LOOKED_AT).astype(np.int64))]
+    errors = [10.0 ** (-0.1 * mean_psnr(begin, some[k : k + 1])) for k in range(len(some))]
+    factor = float(np.clip(np.mean(errors) * 10.0 ** (0.1 * _FULL), _SLOWEST, 1.0))
     names = [each.name for each in fields(training) if each.name.endswith(("_rate", "_rate_end"))]
-    return replace(training, **{name: _SLOW * getattr(training, name) for name in names})
+    return replace(training, **{name: factor * getattr(training, name) for name in names})
 
 
 def _subsets(

@@ -17,7 +17,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.train.images import PosedImages, render_views
 from gsvis.train.importance import rank_by_error
-from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
+from gsvis.train.levels import LevelsConfig, TrainedLevels, _slowed, train_levels
 from gsvis.train.likeness import mean_psnr
 from gsvis.train.trainer import TrainConfig
 
@@ -403,3 +403,20 @@ def test_levels_train_by_the_rules_of_the_paper(iterations: int) -> None:
     assert 1 <= rules.every <= min(100, max(iterations // 15, 1))
     assert (given.iterations, given.sh_degree, given.sh_every) == (iterations, 3, 0)
     assert given.means_rate_end < given.means_rate
+
+
+def test_rates_fall_with_the_error_that_a_level_begins_with(scene: Gaussians, views: PosedImages) -> None:
+    training = CONFIG.training(100, 1)
+
+    def factor(begin: Gaussians) -> float:
+        found = _slowed(training, begin, views)
+        assert found.opacities_rate / training.opacities_rate == pytest.approx(found.means_rate / training.means_rate)
+        assert found.rates_end == training.rates_end
+        return found.means_rate / training.means_rate
+
+    assert factor(scene) == pytest.approx(0.45)
+    assert factor(scene[:2]) == 1.0
+    dimmed = replace(scene, opacities=scene.opacities * np.float32(0.65))
+    squared = np.mean([10.0 ** (-0.1 * mean_psnr(dimmed, views[k])) for k in range(len(views))])
+    assert 0.45 < squared * 10.0**2.7 < 1.0
+    assert factor(dimmed) == pytest.approx(squared * 10.0**2.7)
