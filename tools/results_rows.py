@@ -342,12 +342,12 @@ SECTIONS = (
                 target="above",
             ),
             Row(
-                "Outside of rooms, eight scenes, 25 and 50%: our gain over the better decimation, median, least?",
+                "Eleven scenes, 25 and 50%: our gain over the better decimation, median, least?",
                 (
-                    "levels_unseen: 8 scenes, two levels: median of our gain over the better decimation, mean view",
-                    "levels_unseen: 8 scenes, two levels: least of our gain over the better decimation, mean view",
-                    "levels_unseen: 8 scenes, two levels: median of our gain over the better decimation, worst view",
-                    "levels_unseen: 8 scenes, two levels: least of our gain over the better decimation, worst view",
+                    "levels_unseen: 11 scenes, two levels: median of our gain over the better decimation, mean view",
+                    "levels_unseen: 11 scenes, two levels: least of our gain over the better decimation, mean view",
+                    "levels_unseen: 11 scenes, two levels: median of our gain over the better decimation, worst view",
+                    "levels_unseen: 11 scenes, two levels: least of our gain over the better decimation, worst view",
                 ),
                 ours="mean view {0:+.1f}, {1:+.1f} dB; worst view {2:+.1f}, {3:+.1f}",
                 peer="splat-transform, the better of two: 0",
