@@ -208,35 +208,27 @@ def measure(name: str, lod: int, options: argparse.Namespace) -> dict[str, Any]:
     seen = importance_from_views(g, ViewSampling(256).cameras(g, space))
     sets = trace_directions(Tracer(EllipsoidProxies.from_scene(g)), space, rays_per_face=1) | seen.sets
     judge = Judge.of(g, levels, space, options.views)
-    rows = []
+    rows: list[dict[str, Any]] = []
+
+    def add(colors: SrbfColors, price: float, began: float, learned: bool) -> None:
+        """Keep and print the row of colors whose making began at a time of this process."""
+        row = {"price": price, "learned": learned, "cpu_s": time.process_time() - began}
+        rows.append(row | judge.judge(colors, options.precision))
+        print(name, lod, {k: round(v, 3) if isinstance(v, float) else v for k, v in rows[-1].items()}, flush=True)
+
     for price in options.prices:
         config = FitConfig(mean_terms=options.mean_terms, width_price=price)
         if price == 0.0:
             config = replace(config, decays=(1.5, 6.0))
         began = time.process_time()
         fitted = fit_srbf(g, direction_weights(sets, seen.shares), config, importance=seen.importance).colors
-        row = {
-            "price": price,
-            "learned": False,
-            "cpu_s": time.process_time() - began,
-            **judge.judge(fitted, options.precision),
-        }
-        rows.append(row)
-        print(name, lod, {k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}, flush=True)
+        add(fitted, price, began, False)
         if options.steps:
             from gsvis.train.colors import learn_colors
 
             began = time.process_time()
             lesson = draw_lesson(g, space, options.steps)
-            learned = learn_colors(g, fitted, lesson.views, lesson.config)
-            row = {
-                "price": price,
-                "learned": True,
-                "cpu_s": time.process_time() - began,
-                **judge.judge(learned, options.precision),
-            }
-            rows.append(row)
-            print(name, lod, {k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}, flush=True)
+            add(learn_colors(g, fitted, lesson.views, lesson.config), price, began, True)
     return {"gaussians": len(g), "sh_bytes": sh_bytes(g.sh_degree, 32), "rows": rows}
 
 

@@ -62,7 +62,7 @@ class Session:
 
 
 class Judge:
-    """PSNR of what one session shows, against the held-out photographs."""
+    """Compares what a system shows in a session with the held-out photographs."""
 
     def __init__(self, course: Course, shown: Shown) -> None:
         self._course = course

@@ -307,7 +307,7 @@ def _slowed(training: TrainConfig, begin: Gaussians, views: PosedImages) -> Trai
     """Return the same training with rates in proportion to the squared error that a level begins with.
 
     Near its images full rates make views worse that nobody trained on; far from them low rates do not get there.
-    docs/design/019-levels.md has both for eight scenes.
+    docs/design/117-levels-above-a-decimator.md has both for seven scenes.
     """
     some = views[np.unique(np.linspace(0, len(views) - 1, _LOOKED_AT).astype(np.int64))]
     errors = [10.0 ** (-0.1 * mean_psnr(begin, some[k : k + 1])) for k in range(len(some))]
