@@ -1,8 +1,8 @@
 """Decorators that compile functions with numba, without unused wrappers, which saves 10 to 50% of the time.
 
-`kernel` is for functions that Python calls, `inner` for functions that only kernels call. Compiled code is kept on
-disk. If numba finds no folder for it, it goes to `GSVIS_CACHE` or to a temporary folder, else it is not kept; a warning
-is logged. During compilation the garbage collector is paused, because it took an eighth of the time.
+`kernel` is for functions that Python calls, `inner` for functions that only kernels call, `uncounted` for those among
+them that hold the loops. Compiled code is kept on disk. If numba finds no folder for it, it goes to `GSVIS_CACHE` or to
+a temporary folder, else it is not kept; a warning is logged. During compilation the garbage collector is paused, because it took an eighth of the time.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numba.core import event
 
 from gsvis.files.temporary import private_folder
 
-__all__ = ["inner", "kernel", "njit"]
+__all__ = ["inner", "kernel", "njit", "uncounted"]
 
 _LOG = logging.getLogger(__name__)
 _PLACE = "NUMBA_CACHE_DIR"
@@ -100,6 +100,13 @@ kernel = partial(njit, cache=True, nogil=True, no_cfunc_wrapper=True)
 
 inner = partial(njit, cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 """Compile a function that only kernels call; it has no wrappers for Python and C."""
+
+
+uncounted = partial(inner, _nrt=False)
+"""Compile a function that only kernels call, without counting references to its arrays.
+
+It may allocate nothing and return no array. Counting is atomic, so it costs some nanoseconds for each array and call.
+"""
 
 
 class _Pause(event.Listener):  # type: ignore[misc]  # numba has no types

@@ -12,7 +12,8 @@ import math
 import numpy as np
 
 from gsvis._kernels.bits import bits_of, lowest
-from gsvis._kernels.compiled import inner, kernel, njit
+from gsvis._kernels.compiled import inner, kernel, njit, uncounted
+from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.shared import raise_to, take_next
 from gsvis._kernels.threads import in_threads
 from gsvis.hpr._kernels.block import LANES, STRIDE, blend_block, take_largest
@@ -21,6 +22,8 @@ from gsvis.hpr._kernels.sphere import CLAMP, DILATION
 
 SQUARE = 64
 _ROUND = 256  # Gaussians collected for a square before the nearest are splatted
+_AHEAD = 8  # Gaussians between the one that is splatted and the one whose row is loaded
+_SOON = 4  # the same for the place of its result
 _RUN = 12  # length of runs of keys that are sorted by insertion
 _LOG2_E = 1.4426950408889634
 _ONE = np.float32(1.0)
@@ -37,7 +40,7 @@ def _column_mask(first, last):
     return (_ALL >> np.uint64(63 - (last - first))) << np.uint64(first)
 
 
-@njit(cache=True)
+@uncounted
 def _any_lit(lit, x0, x1, y0, y1):
     """Return whether a pixel of a rectangle has light left."""
     found = _NONE
@@ -56,9 +59,26 @@ def _pixels(center, radius, count):
     return max(first, 0), min(last, count - 1)
 
 
-@inner
+@uncounted
+def _merge(keys, out, width, count):
+    """Merge neighboring sorted runs of `width` keys, two and two."""
+    for left in range(0, count, 2 * width):
+        middle = min(left + width, count)
+        right = min(left + 2 * width, count)
+        i = left
+        j = middle
+        for k in range(left, right):
+            if j >= right or (i < middle and keys[i] <= keys[j]):
+                out[k] = keys[i]
+                i += 1
+            else:
+                out[k] = keys[j]
+                j += 1
+
+
+@uncounted
 def _sort(keys, room, count):
-    """Sort the first `count` keys ascending; return the array that holds them, and the other array."""
+    """Sort the first `count` keys ascending; return whether `room` holds them, not `keys`."""
     for start in range(0, count, _RUN):
         for i in range(start + 1, min(start + _RUN, count)):
             key = keys[i]
@@ -68,22 +88,15 @@ def _sort(keys, room, count):
                 k -= 1
             keys[k] = key
     width = _RUN
+    moved = False
     while width < count:
-        for left in range(0, count, 2 * width):
-            middle = min(left + width, count)
-            right = min(left + 2 * width, count)
-            i = left
-            j = middle
-            for k in range(left, right):
-                if j >= right or (i < middle and keys[i] <= keys[j]):
-                    room[k] = keys[i]
-                    i += 1
-                else:
-                    room[k] = keys[j]
-                    j += 1
-        keys, room = room, keys
+        if moved:
+            _merge(room, keys, width, count)
+        else:
+            _merge(keys, room, width, count)
+        moved = not moved
         width *= 2
-    return keys, room
+    return moved
 
 
 @inner
@@ -95,7 +108,7 @@ def _enlarge(keys, count):
     return out
 
 
-@inner
+@uncounted
 def _frame_box(lit, extent, corner):
     """Return the first and last column, and the first and last row, with light in the square, as pixels of the face."""
     found = _NONE
@@ -115,7 +128,7 @@ def _frame_box(lit, extent, corner):
     return column + np.float32(x0), column + np.float32(x1), row + np.float32(y0), row + np.float32(y1)
 
 
-@inner
+@uncounted
 def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
     """Add the members of cluster c that may reach a lit pixel of the square to the keys; return their number.
 
@@ -126,7 +139,6 @@ def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
     av = 1 if axis == 2 else 2
     sign = np.float32(1.0 - 2.0 * (face & 1))
     clamp = np.float32(CLAMP)
-    own = columns[c]
     axes = (axis, au, av)
     toward = (sign, eye[axis], eye[au], eye[av])
     for first in range(0, CLUSTER, LANES):
@@ -134,27 +146,27 @@ def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
         while reaching != _NONE:
             k = first + np.int64(lowest(reaching))
             reaching &= reaching - np.uint64(1)
-            inverse = _ONE / (sign * (own[axis, k] - eye[axis]))
-            tu = (own[au, k] - eye[au]) * inverse
-            tv = (own[av, k] - eye[av]) * inverse
+            inverse = _ONE / (sign * (columns[c, axis, k] - eye[axis]))
+            tu = (columns[c, au, k] - eye[au]) * inverse
+            tv = (columns[c, av, k] - eye[av]) * inverse
             cu = min(max(tu, -clamp), clamp)
             cv = min(max(tv, -clamp), clamp)
-            wide = own[3, k] * half * inverse
-            sigmas = own[4, k]
+            wide = columns[c, 3, k] * half * inverse
+            sigmas = columns[c, 4, k]
             radius = math.sqrt(wide * wide * (_ONE + cu * cu + cv * cv) + sigmas * sigmas * np.float32(DILATION))
             x0, x1 = _pixels(half * tu + half - corner[0], radius, extent[0])
             y0, y1 = _pixels(half * tv + half - corner[1], radius, extent[1])
             if x0 > x1 or y0 > y1 or not _any_lit(lit, x0, x1, y0, y1):
                 continue
-            dx = own[0, k] - eye[0]
-            dy = own[1, k] - eye[1]
-            dz = own[2, k] - eye[2]
+            dx = columns[c, 0, k] - eye[0]
+            dy = columns[c, 1, k] - eye[1]
+            dz = columns[c, 2, k] - eye[2]
             keys[held] = (bits_of(dx * dx + dy * dy + dz * dz) << np.uint64(32)) | np.uint64(c * CLUSTER + k)
             held += 1
     return held
 
 
-@njit(cache=True)
+@uncounted
 def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square, lit, most, best):
     """Splat Gaussian i onto a square; return the number of pixels whose light it ends."""
     axis = face >> 1
@@ -173,17 +185,16 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square,
     scale = half * inverse
     px = half * tu + half - corner[0]
     py = half * tv + half - corner[1]
-    row = covars[i]
     # entries of the Jacobian, world axes
     ju = scale
     jv = -scale * cu * sign
     jw = -scale * cv * sign
-    uu = row[_UPPER[au, au]]
-    vv = row[_UPPER[av, av]]
-    ww = row[_UPPER[axis, axis]]
-    uv = row[_UPPER[au, av]]
-    uw = row[_UPPER[au, axis]]
-    vw = row[_UPPER[av, axis]]
+    uu = covars[i, _UPPER[au, au]]
+    vv = covars[i, _UPPER[av, av]]
+    ww = covars[i, _UPPER[axis, axis]]
+    uv = covars[i, _UPPER[au, av]]
+    uw = covars[i, _UPPER[au, axis]]
+    vw = covars[i, _UPPER[av, axis]]
     sxx = max(np.float64(ju * ju * uu + np.float32(2.0) * ju * jv * uw + jv * jv * ww), 0.0) + DILATION
     sxy = np.float64(ju * ju * uv + ju * jw * uw + jv * ju * vw + jv * jw * ww)
     syy = max(np.float64(ju * ju * vv + np.float32(2.0) * ju * jw * vw + jw * jw * ww), 0.0) + DILATION
@@ -219,12 +230,15 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square,
     weight = take_largest(most, 0)
     clear = take_largest(most, 1)
     if clear >= spent:
-        raise_to(best, 2 * ids[i], weight)
-        raise_to(best, 2 * ids[i] + 1, clear)
+        place = 2 * ids[i]
+        if weight > best[place]:
+            raise_to(best, place, weight)
+        if clear > best[place + 1]:
+            raise_to(best, place + 1, clear)
     return darkened
 
 
-@njit(cache=True)
+@uncounted
 def _open(square, lit, extent):
     """Give light to the pixels of a square, and none to those around it; return their number."""
     for y in range(SQUARE):
@@ -235,7 +249,7 @@ def _open(square, lit, extent):
     return extent[0] * extent[1]
 
 
-@inner
+@uncounted
 def _is_reached(rectangles, order, corner, extent):
     """Return whether the rectangle of a cluster meets a square."""
     column = np.int64(corner[0])
@@ -247,6 +261,90 @@ def _is_reached(rectangles, order, corner, extent):
     return False
 
 
+@uncounted
+def _load_row(near, covars, ids, i):
+    """Start to load what `_splat` reads of Gaussian i."""
+    prefetch(near, 8 * i)
+    prefetch(covars, 6 * i)
+    prefetch(covars, 6 * i + 5)
+    prefetch(ids, i)
+
+
+@uncounted
+def _collect(columns, eye, face, corner, extent, half, nearest, rectangles, order, lit, keys, at, held):
+    """Add members of the next clusters to the keys, until there are enough for a round or no room is left.
+
+    Args:
+        columns: Of the `Splats`.
+        eye: (3,) float32.
+        face: Number of the face.
+        corner: First column and row of the square.
+        extent: Columns and rows of the square.
+        half: Half the side of the face.
+        nearest: (B,) float32.
+        rectangles: (B, 4) int16, on this face.
+        order: Clusters of the face, nearest first.
+        lit: Rows of the square that have light.
+        keys: (K,) uint64, extended in place.
+        at: The next place in `order`.
+        held: Number of keys.
+
+    Returns:
+        The next place in `order`, the number of keys, and the least key that a later cluster may add.
+    """
+    column = np.int64(corner[0])
+    line = np.int64(corner[1])
+    first = held
+    box = _frame_box(lit, extent, corner)
+    while at < len(order):
+        c = order[at]
+        x0 = max(rectangles[c, 0] - column, 0)
+        x1 = min(rectangles[c, 1] - column, extent[0] - 1)
+        y0 = max(rectangles[c, 2] - line, 0)
+        y1 = min(rectangles[c, 3] - line, extent[1] - 1)
+        if x0 > x1 or y0 > y1:
+            at += 1
+            continue
+        if held - first >= _ROUND or held + CLUSTER > len(keys):
+            return at, held, bits_of(nearest[c]) << np.uint64(32)
+        at += 1
+        if _any_lit(lit, x0, x1, y0, y1):
+            held = _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held)
+    return at, held, _ALL
+
+
+@uncounted
+def _divide(keys, held, horizon, ready):
+    """Move the keys below `horizon` to `ready`; return the numbers of keys that stay and that moved."""
+    kept = np.int64(0)
+    chosen = np.int64(0)
+    for k in range(held):
+        if keys[k] < horizon:
+            ready[chosen] = keys[k]
+            chosen += 1
+        else:
+            keys[kept] = keys[k]
+            kept += 1
+    return kept, chosen
+
+
+@uncounted
+def _splat_all(near, covars, ids, eye, face, corner, extent, half, spent, keys, count, square, lit, most, best, left):
+    """Splat the Gaussians of the first `count` keys in order; return the number of pixels that have light left."""
+    for k in range(min(count, _AHEAD)):
+        _load_row(near, covars, ids, np.int64(keys[k] & _LOW))
+    for k in range(count):
+        if k + _AHEAD < count:
+            _load_row(near, covars, ids, np.int64(keys[k + _AHEAD] & _LOW))
+        if k + _SOON < count:
+            prefetch(best, 2 * ids[np.int64(keys[k + _SOON] & _LOW)])
+        i = np.int64(keys[k] & _LOW)
+        left -= _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square, lit, most, best)
+        if left == 0:
+            break
+    return left
+
+
 @inner
 def _fill(scene, eye, face, corner, extent, half, spent, nearest, rectangles, order, square, lit, most, room, best):
     """Splat the clusters in `order` onto one square until no light is left. Returns the working arrays, perhaps grown.
@@ -255,53 +353,25 @@ def _fill(scene, eye, face, corner, extent, half, spent, nearest, rectangles, or
     """
     near, covars, columns, ids = scene
     waiting, ready, spare = room
-    # literals would compile `_meet` twice
+    # literals would compile what is called twice
     left = _open(square, lit, extent)
     held = np.int64(0)
     at = np.int64(0)
-    column = np.int64(corner[0])
-    line = np.int64(corner[1])
     while left > 0 and (at < len(order) or held > 0):
-        horizon = _ALL
-        first = held
-        box = _frame_box(lit, extent, corner)
-        while at < len(order):
-            c = order[at]
-            place = rectangles[c]
-            x0 = max(place[0] - column, 0)
-            x1 = min(place[1] - column, extent[0] - 1)
-            y0 = max(place[2] - line, 0)
-            y1 = min(place[3] - line, extent[1] - 1)
-            if x0 > x1 or y0 > y1:
-                at += 1
-                continue
-            if held - first >= _ROUND:
-                horizon = bits_of(nearest[c]) << np.uint64(32)
-                break
-            at += 1
-            if _any_lit(lit, x0, x1, y0, y1):
-                if held + CLUSTER > len(waiting):
-                    waiting = _enlarge(waiting, held)
-                held = _meet(columns, eye, face, corner, extent, half, c, lit, box, waiting, held)
+        if held + _ROUND + CLUSTER > len(waiting):
+            waiting = _enlarge(waiting, held)
+        at, held, horizon = _collect(
+            columns, eye, face, corner, extent, half, nearest, rectangles, order, lit, waiting, at, held
+        )
         while len(ready) < held:
             ready = _enlarge(ready, held)
             spare = _enlarge(spare, held)
-        kept = np.int64(0)
-        chosen = np.int64(0)
-        for k in range(held):
-            if waiting[k] < horizon:
-                ready[chosen] = waiting[k]
-                chosen += 1
-            else:
-                waiting[kept] = waiting[k]
-                kept += 1
-        held = kept
-        ready, spare = _sort(ready, spare, chosen)
-        for k in range(chosen):
-            i = np.int64(ready[k] & _LOW)
-            left -= _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square, lit, most, best)
-            if left == 0:
-                break
+        held, chosen = _divide(waiting, held, horizon, ready)
+        if _sort(ready, spare, chosen):
+            ready, spare = spare, ready
+        left = _splat_all(
+            near, covars, ids, eye, face, corner, extent, half, spent, ready, chosen, square, lit, most, best, left
+        )
     return waiting, ready, spare
 
 
