@@ -190,7 +190,7 @@ PAGES = {
             "world_cluster",
         ),
     ),
-    "edit": Page("Editing scenes", ("cut", "cut_unseen", "from_outside", "budget", "clean")),
+    "edit": Page("Editing scenes", ("cut", "cut_unseen", "from_outside", "budget", "cell_overdraw", "clean")),
     "viewer": Page(
         "The viewer",
         (

@@ -7,7 +7,7 @@ from typing import Any
 
 from gsvis.cli.arguments import Inspect
 from gsvis.cli.histograms import TITLES, band_lines, can_draw_blocks, histogram_lines, line_width
-from gsvis.cli.overdraw import measure_overdraw, overdraw_rows
+from gsvis.cli.overdraw import cell_overdraw, cell_overdraw_rows, measure_overdraw, overdraw_rows
 from gsvis.cli.source import inspect_scene_of, open_source
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, find_place, flyaway_remarks, space_document, suspect_views
@@ -38,6 +38,7 @@ def run_inspect(command: Inspect) -> None:
         report["judged"] = judged_of(command.scene)
         if report["judged"] is not None and report["judged"].get("warning"):
             report["problems"].append(str(report["judged"]["warning"]))
+        report["cell_overdraw"] = cell_overdraw(command.scene)
         if command.overdraw:
             report["overdraw"] = measure_overdraw(command, source, space, status)
         spread = measure_histograms(source.gaussians) if command.histograms else {}
@@ -102,6 +103,8 @@ def _rows(source: Source, report: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(("sets, by other eyes", report["judged"]["line"]))
     if report["space"] is not None:
         rows.append(("taken for", report["space"]["kind"]["text"]))
+    if report["cell_overdraw"] is not None and not report.get("overdraw"):
+        rows += cell_overdraw_rows(report["cell_overdraw"])
     if report.get("overdraw"):
         rows += overdraw_rows(report["overdraw"])
     return rows

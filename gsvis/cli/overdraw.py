@@ -18,7 +18,7 @@ from gsvis.scene.source import Source
 if TYPE_CHECKING:
     from gsvis.edit.budget import Budgeted
 
-__all__ = ["Lighter", "lighten", "measure_overdraw", "overdraw_rows"]
+__all__ = ["Lighter", "cell_overdraw", "cell_overdraw_rows", "lighten", "measure_overdraw", "overdraw_rows"]
 
 _FIGURES = ("splats", "mean", "worst", "until")
 
@@ -45,6 +45,48 @@ def measure_overdraw(
         return None
     eyes = ViewSampling(count, 8, 8, 90.0).cameras(source.gaussians, space).viewpoints
     return _document("everything", eyes, fill_around(source.gaussians, eyes, progress=status))
+
+
+def cell_overdraw(scene: str) -> dict[str, Any] | None:
+    """Return the overdraw of all cells that a package states, for JSON; None for a scene, or where it states none."""
+    if not is_package(scene):
+        return None
+    from gsvis.package import Package
+    from gsvis.pvs.fill import read_overdraw
+
+    with Package.open(scene) as package:
+        stated = package.manifest.info.provenance.get("overdraw")
+        if stated is None or package.manifest.visibility is None:
+            return None
+        centers = package.visibility.grid.centers
+    found = read_overdraw(stated, len(centers))
+    if found is None:
+        return None
+    rows = zip(centers.tolist(), found.splats.tolist(), found.mean.tolist(), found.worst.tolist(), strict=True)
+    return {
+        "median": {name: float(np.median(values)) for name, values in found._asdict().items()},
+        "largest": {name: float(values.max(initial=0.0)) for name, values in found._asdict().items()},
+        "heaviest": int(found.mean.argmax()),
+        "cells": [
+            {"place": place, "splats": splats, "mean": mean, "worst": worst} for place, splats, mean, worst in rows
+        ],
+    }
+
+
+def cell_overdraw_rows(found: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the rows of a table about the overdraw of all cells: the median, the largest, and where."""
+    median = found["median"]
+    largest = found["largest"]
+    heaviest = found["cells"][found["heaviest"]]["place"]
+    return [
+        (
+            "splats over a pixel",
+            f"{median['mean']:.0f} in the median of {len(found['cells'])} cells, {largest['mean']:.0f} at most",
+        ),
+        ("", f"{median['worst']:,.0f} over the worst pixel, {largest['worst']:,.0f} at most"),
+        ("splats in a view", f"{median['splats']:,.0f} in the median, {largest['splats']:,.0f} at most"),
+        ("heaviest cell", ", ".join(f"{value:.3g}" for value in heaviest)),
+    ]
 
 
 def _document(drawn: str, places: Any, found: Any) -> dict[str, Any]:

@@ -109,7 +109,7 @@ def prepare_package(
         workers: The workers that build visible sets; None means this process.
         progress: Called with the stages "order", or "views" or "photos", "prune", "train NAME" and "measure"; then with
             "cells", "store", "importance", "price", "fit", "epsilon", "cost", "fidelity",
-            "judge", "terms" and "package".
+            "judge", "fill", "terms" and "package".
 
     Returns:
         The manifest of the package, and what each stage did.
@@ -165,6 +165,7 @@ def finish_package(
         with VisibilityStore.open(shipped, scene=levels.union) as store:
             fidelity = stages.fidelity(levels, exact, packed, store, epsilon.value)
             judged = stages.judged(levels, store)
+            overdraw = None if stages.around is not None else stages.overdraw(levels, store)
             listed = stages.cell_terms(levels, packed, store, epsilon.value)
             certificates = store.certificates
             twice = store.info.config.get("traced_twice")
@@ -172,6 +173,7 @@ def finish_package(
         views = describe_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
         found = {"levels": quality, "directions": colors.directions, "views": views, "judged": judged}
         found |= {} if colors.learned is None else {"learned_colors": colors.learned}
+        found |= {} if overdraw is None else {"overdraw": overdraw}
         found |= {} if epsilon.staircase is None else {"staircase": epsilon.staircase}
         provenance = {**(about or {}), "config": config.as_dict(), **found}
         info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity, epsilon.value)

@@ -55,6 +55,7 @@ from gsvis.progress import Progress
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cell_count import MOST_CELLS, fitting_cells
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
+from gsvis.pvs.fill import describe_overdraw, sample_fill_of_cells
 from gsvis.pvs.joined import JoinedCells, join_until_small
 from gsvis.pvs.judged import judge_sets
 from gsvis.pvs.store import VisibilityStore
@@ -76,6 +77,7 @@ VERSIONS = {
     "cost": 2,
     "fidelity": 3,
     "judged": 3,
+    "overdraw": 1,
     "terms": 1,
 }
 """Version of the results of each stage; increase it when they change."""
@@ -489,6 +491,18 @@ class Stages:
         record: dict[str, Any] = json.loads(read_whole(self.work.at(name)))
         if record["warning"]:
             self.remarks.append(record["warning"])
+        return record
+
+    def overdraw(self, levels: Levels, store: VisibilityStore) -> dict[str, Any]:
+        """Return the overdraw of each cell; see `describe_overdraw`."""
+        key = self._key("overdraw", levels=_content(levels), sets=digest_of_folder(store.path).split()[0])
+        name = f"overdraw-{key}.json"
+        if not self.work.whole(name):
+            found = describe_overdraw(sample_fill_of_cells(levels, store, progress=self.progress))
+            with atomic_path(self.work.at(name)) as path:
+                path.write_text(json.dumps(found), encoding="utf-8")
+            self.work.seal_file(name)
+        record: dict[str, Any] = json.loads(read_whole(self.work.at(name)))
         return record
 
     @property

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.render import Fill, fill_around
+from gsvis.render.fill import SIDE, STEP, SampledFill, sample_fill_around
 from gsvis.scene.levels import Levels
 
-__all__ = ["fill_of_cells"]
+__all__ = ["describe_overdraw", "fill_of_cells", "read_overdraw", "sample_fill_of_cells"]
+
+_MOST = 1e12  # splats: more is damage
 
 
 def fill_of_cells(levels: Levels, store: VisibilityStore, cells: ArrayLike, *, progress: Progress = silent) -> Fill:
@@ -32,3 +37,48 @@ def fill_of_cells(levels: Levels, store: VisibilityStore, cells: ArrayLike, *, p
         progress("fill", k + 1, len(numbers))
     columns = [[getattr(each, name) for each in found] for name in ("splats", "mean", "worst", "until")]
     return Fill(*(np.concatenate(column) if column else np.zeros(0) for column in columns))
+
+
+def sample_fill_of_cells(levels: Levels, store: VisibilityStore, *, progress: Progress = silent) -> SampledFill:
+    """Return what `fill_of_cells` does for all cells but the fill until opaque, from sampled pixels.
+
+    Args:
+        levels: The levels.
+        store: Visible sets of their union.
+        progress: Called with stage "fill", in cells.
+    """
+    top = levels.member(len(levels) - 1)
+    rows = np.zeros((len(store), 3))
+    progress("fill", 0, len(store))
+    for cell in range(len(store)):
+        ids = store.visible_ids(cell)
+        found = sample_fill_around(levels.union[ids[top[ids]]], store.grid.centers[cell][None])
+        rows[cell] = found.splats[0], found.mean[0], found.worst[0]
+        progress("fill", cell + 1, len(store))
+    return SampledFill(*rows.T)
+
+
+def describe_overdraw(found: SampledFill) -> dict[str, Any]:
+    """Return the fill of all cells for JSON: three lists, in the order of the cells."""
+    return {
+        "side": SIDE,
+        "step": STEP,
+        "splats": found.splats.astype(np.int64).tolist(),
+        "mean": np.round(found.mean, 1).tolist(),
+        "worst": found.worst.astype(np.int64).tolist(),
+    }
+
+
+def read_overdraw(record: Any, cells: int) -> SampledFill | None:
+    """Return the fill of all cells from JSON; None unless it has three numbers >= 0 for each of `cells` cells."""
+    if not isinstance(record, dict):
+        return None
+    columns = []
+    for name in SampledFill._fields:
+        values = record.get(name)
+        if not isinstance(values, list) or len(values) != cells:
+            return None
+        if not all(type(value) in (int, float) and 0 <= value < _MOST for value in values):
+            return None
+        columns.append(np.array(values, np.float64))
+    return SampledFill(*columns)

@@ -9,20 +9,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.progress import Progress, silent
-from gsvis.render._kernels.fill import count_fill
+from gsvis.render._kernels.fill import count_fill, sample_fill
 from gsvis.render.reference import MIN_TRANSMITTANCE, pixel_centers, project_reference
-from gsvis.render.splats import View, project
+from gsvis.render.splats import View, project, project_splats
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["SIDE", "Fill", "ViewFill", "fill_around", "fill_reference", "measure_fill", "view_fill"]
+__all__ = [
+    "SIDE",
+    "STEP",
+    "Fill",
+    "SampledFill",
+    "ViewFill",
+    "fill_around",
+    "fill_reference",
+    "measure_fill",
+    "sample_fill_around",
+    "sampled_view_fill",
+    "view_fill",
+]
 
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
@@ -30,6 +42,9 @@ I64 = NDArray[np.int64]
 
 SIDE = 512
 """Pixels of a side of the six square views around an eye: about those of a screen. In fewer, splats blur over more."""
+
+STEP = 4
+"""Pixels from one sampled pixel to the next."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +98,24 @@ class Fill:
         return self.splats, self.mean, self.worst, self.until
 
 
+class SampledFill(NamedTuple):
+    """The largest fill of the six views around each of E eyes, from every fourth pixel along both axes.
+
+    Attributes:
+        splats: (E,) Gaussians whose box in the image reaches a pixel.
+        mean: (E,) mean fill of a pixel.
+        worst: (E,) largest fill of a sampled pixel, so not more than that of all pixels.
+    """
+
+    splats: F64
+    mean: F64
+    worst: F64
+
+
 def view_fill(g: Gaussians, camera: Cameras) -> ViewFill:
     """Return the fill of the view of one camera."""
     view = _view_of(camera)
-    arrays: Any = SimpleNamespace(**{k: getattr(g, k) for k in ("means", "quats", "scales", "opacities", "sh0")})
-    projected = project(arrays, view, antialiased=g.facts.antialiased, pairs=True)
+    projected = project(_arrays_of(g), view, antialiased=g.facts.antialiased, pairs=True)
     fill = np.zeros((view.height, view.width), np.int32)
     until = np.zeros_like(fill)
     pairs = np.zeros((len(projected.members), 2), np.float32)
@@ -131,6 +159,36 @@ def fill_around(g: Gaussians, eyes: ArrayLike, *, progress: Progress = silent) -
     return measure_fill(g, Cameras.cubemap(around, SIDE), progress=progress).around()
 
 
+def sampled_view_fill(g: Gaussians, camera: Cameras, step: int = STEP) -> tuple[int, I32]:
+    """Return the number of splats of the view of one camera, and the fill of every `step`-th pixel along both axes.
+
+    The pixels are those of `view_fill(g, camera).fill[step // 2 :: step, step // 2 :: step]`. There are no lists and no
+    sorting, so this takes a fraction of the time.
+    """
+    view = _view_of(camera)
+    _, splats, _ = project_splats(_arrays_of(g), view, antialiased=g.facts.antialiased)
+    rows, columns = (len(range(step // 2, size, step)) for size in (view.height, view.width))
+    fill = np.zeros((rows, columns), np.int32)
+    sample_fill(splats, step, fill)
+    return len(splats), fill
+
+
+def sample_fill_around(g: Gaussians, eyes: ArrayLike) -> SampledFill:
+    """Return what `fill_around` does but the fill until opaque, from sampled pixels.
+
+    Args:
+        g: N Gaussians.
+        eyes: (E, 3) eyes, world frame.
+    """
+    around = _check.floats("eyes", eyes, ("E", 3), np.float64)
+    cameras = Cameras.cubemap(around, SIDE)
+    rows = np.zeros((len(cameras), 3))
+    for c in range(len(cameras)):
+        splats, fill = sampled_view_fill(g, cameras[c])
+        rows[c] = splats, fill.mean(), fill.max()
+    return SampledFill(*rows.reshape(-1, 6, 3).max(axis=1).T)
+
+
 def fill_reference(g: Gaussians, camera: Cameras) -> ViewFill:
     """Return the fill of a view as `view_fill` does, from the alpha of every Gaussian at every pixel; slow."""
     view = _view_of(camera)
@@ -145,6 +203,11 @@ def fill_reference(g: Gaussians, camera: Cameras) -> ViewFill:
     light = np.where(lit, alphas * before, 0.0).sum(axis=0)
     until = lit.sum(axis=1).astype(np.int32).reshape(shape)
     return ViewFill(fill, until, splats.ids[some], covered[some], light[some])
+
+
+def _arrays_of(g: Gaussians) -> Any:
+    """Return the arrays of Gaussians that kernels take."""
+    return SimpleNamespace(**{key: getattr(g, key) for key in ("means", "quats", "scales", "opacities", "sh0")})
 
 
 def _view_of(camera: Cameras) -> View:

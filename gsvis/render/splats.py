@@ -20,7 +20,7 @@ from gsvis.render._kernels import project as _kernels_project
 from gsvis.render._kernels import tiles as _kernels_tiles
 from gsvis.scene.lengths import length_factor
 
-__all__ = ["Projected", "View", "blend", "color_splats", "draw", "in_usual_units", "project"]
+__all__ = ["Projected", "View", "blend", "color_splats", "draw", "in_usual_units", "project", "project_splats"]
 
 _BLOCK = 2048
 _CHUNKS = 4  # chunks of the depth order for each thread
@@ -101,6 +101,19 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
         antialiased: Lower opacities so that the dilation keeps their integral.
         pairs: Number the (tile, splat) pairs, as gradients and weights need.
     """
+    ids, splats, depths = project_splats(scene, view, antialiased=antialiased)
+    order = _sort_splats(scene, ids, depths)
+    return Projected(ids, splats, depths, order, *_list_tiles(splats, order, view, pairs=pairs))
+
+
+def project_splats(scene: Any, view: View, *, antialiased: bool) -> tuple[I32, F64, F32]:
+    """Return the Gaussians (M,) that reach a pixel, their splats (M, 8) and depths (M,), in the order of the scene.
+
+    Args:
+        scene: Object with arrays means, quats, scales and opacities.
+        view: The camera.
+        antialiased: Lower opacities so that the dilation keeps their integral.
+    """
     n = len(scene.means)
     blocks = -(-n // _BLOCK)
     counts = np.zeros(blocks, np.int64)
@@ -129,8 +142,7 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
     ids, splats, depths = packed
     if factor != 1.0:
         depths /= np.float32(factor)
-    order = _sort_splats(scene, ids, depths)
-    return Projected(ids, splats, depths, order, *_list_tiles(splats, order, view, pairs=pairs))
+    return ids, splats, depths
 
 
 def in_usual_units(scene: Any, view: View, factor: float) -> tuple[Any, Any, F64]:

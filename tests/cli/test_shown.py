@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from gsvis.cli import main
+from gsvis.package import PackageInfo, write_package
 from gsvis.package.package import Package
 from gsvis.package.shown import is_package, load_shown
 from gsvis.package.unpack import unpack_levels
+from gsvis.pvs.store import VisibilityStore
+from tests.package.worlds import colors_of, levels_of, sets_of
 from tests.stream.worlds import package_of
 
 Capture = pytest.CaptureFixture[str]
@@ -44,6 +47,25 @@ def test_inspect_and_render_take_a_package(package: Path, tmp_path: Path, capsys
     picture = tmp_path / "room.png"
     assert main(["render", str(package), "-o", str(picture), "--width", "32", "--height", "24"]) == 0
     assert picture.stat().st_size > 0
+
+
+def test_inspect_shows_the_overdraw_that_a_package_states(tmp_path: Path, capsys: Capture) -> None:
+    levels, (_, colors) = levels_of(400), colors_of(400)
+    sets = sets_of(tmp_path, levels)
+    with VisibilityStore.open(sets) as store:
+        cells = len(store)
+    overdraw = {"splats": [9] * cells, "mean": [2.5] * cells, "worst": [7] * cells}
+    for name, provenance in (("room", {}), ("stated", {"overdraw": overdraw})):
+        info = PackageInfo(provenance=provenance)
+        write_package(tmp_path / f"{name}.gsvis", levels, colors, info=info, visibility=sets).close()
+    assert main(["inspect", str(tmp_path / "room.gsvis"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["cell_overdraw"] is None
+    assert main(["inspect", str(tmp_path / "stated.gsvis"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["cell_overdraw"]
+    assert len(found["cells"]) == cells
+    assert found["largest"] == {"splats": 9, "mean": 2.5, "worst": 7}
+    assert main(["inspect", str(tmp_path / "stated.gsvis")]) == 0
+    assert "7 over the worst pixel" in capsys.readouterr().out
 
 
 def test_a_package_has_no_lod(package: Path, capsys: Capture) -> None:

@@ -25,6 +25,7 @@ from gsvis.prepare.colors import ColorConfig
 from gsvis.pvs import estimate as pvs_estimates
 from gsvis.pvs import joined as joined_cells
 from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.fill import read_overdraw
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
@@ -107,6 +108,9 @@ def test_a_package_holds_everything_that_a_server_needs(made: tuple[Path, Prepar
     assert info.fidelity.cell is not None
     assert 15 < info.fidelity.records.worst <= info.fidelity.records.psnr < 100
     assert info.provenance["scene"] == "rooms"
+    overdraw = read_overdraw(info.provenance["overdraw"], checked.cells)
+    assert overdraw is not None
+    assert (overdraw.worst >= overdraw.mean).all()
     assert info.provenance["config"]["cells"] == 4
     assert [row["worst"] for row in info.provenance["levels"]["psnr"]][-1] == 100.0
     assert [stage.name for stage in found.stages] == STAGES == new(found)
@@ -140,7 +144,7 @@ def test_an_option_changes_only_what_depends_on_it(
     assert 1 == joined.joined[-1].cells < joined.joined[0].cells == found.joined[0].cells
     assert new(prepare(rooms, again, replace(flat, cells=1)))[0] == "sets"
     kept = {path.name.partition("-")[0] for path in found.work.iterdir() if not path.name.endswith(".sha256")}
-    pieces = {"levels", "sets", "joined", "colors", "cost", "fidelity", "judged"}
+    pieces = {"levels", "sets", "joined", "colors", "cost", "fidelity", "judged", "overdraw"}
     assert kept == {"gsvis", "plan.json", "directions.partial", *pieces}
     assert len([path for path in found.work.iterdir() if path.name.endswith(".pvs")]) == 2  # old pieces have gone
 

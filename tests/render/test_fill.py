@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsvis.render import Fill, fill_around, measure_fill, view_weights
-from gsvis.render.fill import fill_reference, view_fill
+from gsvis.render.fill import fill_reference, sample_fill_around, sampled_view_fill, view_fill
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from tests.raycast.scenes import KINDS, scene
@@ -40,6 +40,27 @@ def test_the_kernel_counts_as_the_reference(kind: str) -> None:
         covered = np.zeros((2, len(g)))
         covered[0, fast.ids], covered[1, slow.ids] = fast.covered, slow.covered
         assert np.abs(covered[0] - covered[1]).max() <= 2
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("far", "none")])
+@pytest.mark.parametrize("step", [1, 3, 4])
+def test_sampled_pixels_have_the_fill_of_all_pixels(kind: str, step: int) -> None:
+    g, camera = scene(kind), views()[0]
+    exact = view_fill(g, camera)
+    splats, fill = sampled_view_fill(g, camera, step)
+    assert np.abs(fill - exact.fill[step // 2 :: step, step // 2 :: step]).max() <= 1  # an alpha at 1/255
+    assert splats >= len(exact.ids)
+
+
+def test_sampled_eyes_have_about_the_fill_of_eyes() -> None:
+    g = scene("mixed")
+    eyes = [[0.0, 0, 3], [2.0, 1, 0]]
+    exact = fill_around(g, eyes)
+    found = sample_fill_around(g, eyes)
+    np.testing.assert_allclose(found.mean, exact.mean, rtol=0.02)
+    assert (found.worst <= exact.worst + 1).all()
+    np.testing.assert_allclose(found.splats, exact.splats, rtol=0.05)
+    assert sample_fill_around(Gaussians.empty(), [[0.0, 0, 0]]).splats.tolist() == [0]
 
 
 def test_covered_pixels_sum_to_the_fill_and_light_is_that_of_images() -> None:

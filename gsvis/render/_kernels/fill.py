@@ -1,4 +1,4 @@
-"""Kernel that counts the splats that cover each pixel, and what each of them covers and shows.
+"""Kernels that count the splats that cover each pixel, and what each of them covers and shows.
 
 Players on a GPU blend every splat of a pixel, also those behind a wall. So all are counted, and apart from them those
 up to where the pixel is opaque.
@@ -13,7 +13,7 @@ from gsvis._kernels.shared import take_next
 from gsvis._kernels.threads import in_threads
 from gsvis.render._kernels.tiles import TILE
 
-__all__ = ["count_fill"]
+__all__ = ["count_fill", "sample_fill"]
 
 _LOG2_255 = 7.994353436858858
 _OPAQUE = 1e-4  # transmittance at which a pixel is opaque, as in images
@@ -74,3 +74,25 @@ def count_fill(taken, splats, offsets, members, pair_of, tiles_x, fill, until, p
             pairs[pair_of[place], 0] = covered
             pairs[pair_of[place], 1] = shown
         tile = take_next(taken)
+
+
+@kernel(error_model="numpy")
+def sample_fill(splats, step, fill):
+    """Count the splats over every `step`-th pixel along both axes, beginning with the middle of the first `step`.
+
+    `splats` (M, 8); `fill` (rows, columns) int32 zeros. A splat covers a pixel as in `count_fill`.
+    """
+    first = step // 2 + 0.5
+    for m in range(len(splats)):
+        splat = splats[m]
+        low = max(int(np.ceil((splat[1] - splat[7] - first) / step)), 0)
+        high = min(int(np.floor((splat[1] + splat[7] - first) / step)), fill.shape[0] - 1)
+        left = max(int(np.ceil((splat[0] - splat[6] - first) / step)), 0)
+        right = min(int(np.floor((splat[0] + splat[6] - first) / step)), fill.shape[1] - 1)
+        for r in range(low, high + 1):
+            dy = r * step + first - splat[1]
+            level = splat[5] + splat[4] * dy * dy
+            for k in range(left, right + 1):
+                dx = k * step + first - splat[0]
+                if level + dx * (splat[3] * dy + splat[2] * dx) >= -_LOG2_255:
+                    fill[r, k] += 1
