@@ -165,16 +165,14 @@ def finish_package(
         with VisibilityStore.open(shipped, scene=levels.union) as store:
             fidelity = stages.fidelity(levels, exact, packed, store, epsilon.value)
             judged = stages.judged(levels, store)
-            overdraw = None if stages.around is not None else stages.overdraw(levels, store)
+            overdraw = stages.overdraw(levels, store)
             listed = stages.cell_terms(levels, packed, store, epsilon.value)
             certificates = store.certificates
             twice = store.info.config.get("traced_twice")
         began = time.perf_counter()
         views = describe_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
         found = {"levels": quality, "directions": colors.directions, "views": views, "judged": judged}
-        found |= {} if colors.learned is None else {"learned_colors": colors.learned}
-        found |= {} if overdraw is None else {"overdraw": overdraw}
-        found |= {} if epsilon.staircase is None else {"staircase": epsilon.staircase}
+        found |= _known(learned_colors=colors.learned, overdraw=overdraw, staircase=epsilon.staircase)
         provenance = {**(about or {}), "config": config.as_dict(), **found}
         info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity, epsilon.value)
         parts = {"visibility": shipped, "active_terms": listed}
@@ -201,6 +199,11 @@ def finish_package(
         judged,
         stages.joined,
     )
+
+
+def _known(**found: dict[str, Any] | None) -> dict[str, dict[str, Any]]:
+    """Return what was found; without what is None."""
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def stages_of(

@@ -493,8 +493,10 @@ class Stages:
             self.remarks.append(record["warning"])
         return record
 
-    def overdraw(self, levels: Levels, store: VisibilityStore) -> dict[str, Any]:
-        """Return the overdraw of each cell; see `describe_overdraw`."""
+    def overdraw(self, levels: Levels, store: VisibilityStore) -> dict[str, Any] | None:
+        """Return the overdraw of each cell, see `describe_overdraw`; None with surroundings, which cells see too."""
+        if self.around is not None:
+            return None
         key = self._key("overdraw", levels=_content(levels), sets=digest_of_folder(store.path).split()[0])
         name = f"overdraw-{key}.json"
         if not self.work.whole(name):
