@@ -2,7 +2,8 @@
 
 `kernel` is for functions that Python calls, `inner` for functions that only kernels call, `uncounted` for those among
 them that hold the loops. Compiled code is kept on disk. If numba finds no folder for it, it goes to `GSVIS_CACHE` or to
-a temporary folder, else it is not kept; a warning is logged. During compilation the garbage collector is paused, because it took an eighth of the time.
+a temporary folder, else it is not kept; a warning is logged. During compilation the garbage collector is paused,
+because it took an eighth of the time.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ __all__ = ["prefetch"]
 
 @intrinsic
 def prefetch(typing: Any, array: Any, index: Any) -> Any:
-    """Start to load the cache line of `array[index]` (one-dimensional, contiguous), without waiting for it."""
+    """Start to load the cache line of an entry of a contiguous array, by its flat index, without waiting for it."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         """Build a call of `llvm.prefetch`."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsvis._kernels.compiled import inner, kernel, njit
+from gsvis._kernels.compiled import inner, kernel, njit, uncounted
 from gsvis._kernels.shared import share, take_next
 from gsvis._kernels.threads import in_parts, on_numba_threads
 from gsvis.raycast._kernels.bvh import MOST_LEVELS, WIDTH
@@ -45,7 +45,7 @@ def _peak(table, g, ox, oy, oz, dx, dy, dz):
     return (cx * cx + cy * cy + cz * cz) / length, -along / length
 
 
-@njit(cache=True)
+@uncounted
 def before(table, content, i, depth_i, j, depth_j):
     """Return whether hit i comes before hit j: by float32 depth, and at equal depth by content, never by index."""
     if depth_i != depth_j:
@@ -59,7 +59,7 @@ def before(table, content, i, depth_i, j, depth_j):
     return False
 
 
-@inner
+@uncounted
 def sort_hits(table, content, ids, alphas, depths, count):
     """Order the first `count` hits front to back, in place (shell sort: short, nearly sorted lists)."""
     for gap in (132, 57, 23, 10, 4, 1):
@@ -76,7 +76,7 @@ def sort_hits(table, content, ids, alphas, depths, count):
             depths[j] = t
 
 
-@inner
+@uncounted
 def count_until_spent(alphas, count, min_transmittance):
     """Return how many of the sorted hits count: up to the one where transmittance falls below the bound."""
     transmittance = 1.0
@@ -96,6 +96,20 @@ def trace_ray(
     `limits` is (min_alpha, max_alpha, min_transmittance). Returns the number of hits and the buffers. Full buffers are
     replaced by larger ones.
     """
+    scene = table, content, boxes, children
+    count = _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near)
+    while count < 0:
+        ids = np.empty(2 * len(ids), np.int64)
+        alphas = np.empty(len(ids), np.float64)
+        depths = np.empty(len(ids), np.float32)
+        count = _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near)
+    return count, ids, alphas, depths
+
+
+@uncounted
+def _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near):
+    """Write the hits of one ray into the buffers; see `trace_ray`. Returns their number, or -1 if a buffer is full."""
+    table, content, boxes, children = scene
     min_alpha, max_alpha, min_transmittance = limits
     ox = ray_o[0]
     oy = ray_o[1]
@@ -141,9 +155,7 @@ def trace_ray(
             if alpha < min_alpha:
                 continue
             if count == len(ids):
-                ids = np.concatenate((ids, np.empty_like(ids)))
-                alphas = np.concatenate((alphas, np.empty_like(alphas)))
-                depths = np.concatenate((depths, np.empty_like(depths)))
+                return np.int64(-1)
             alpha = min(alpha, max_alpha)
             ids[count], alphas[count], depths[count] = g, alpha, np.float32(depth)
             count += 1
@@ -154,10 +166,10 @@ def trace_ray(
                 t_stop = max(np.float64(depths[count - 1]) * (1.0 + 1e-6), 0.0)
                 prune_at = count + _PRUNE_EVERY
     sort_hits(table, content, ids, alphas, depths, count)
-    return count_until_spent(alphas, count, min_transmittance), ids, alphas, depths
+    return np.int64(count_until_spent(alphas, count, min_transmittance))
 
 
-@inner
+@uncounted
 def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, floor, stack_node, stack_near, t_near):
     """Return the weight of one Gaussian on one ray, or 0 below `floor`, so that hidden Gaussians end early.
 
@@ -289,7 +301,7 @@ def trace_rays(
                 store(ids, alphas, depths, count, out_ids[r], out_alphas[r], out_weights[r], out_depths[r])
 
 
-@njit(cache=True)
+@uncounted
 def store(ids, alphas, depths, count, out_ids, out_alphas, out_weights, out_depths):
     """Write the sorted hits of one ray with their weights into its output row."""
     transmittance = 1.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsvis._kernels.compiled import inner, kernel, njit
+from gsvis._kernels.compiled import inner, kernel, njit, uncounted
 from gsvis._kernels.shared import share, take_next
 from gsvis._kernels.threads import in_threads, on_numba_threads
 
@@ -75,7 +75,7 @@ def move_keys(keys, shift, places, out):
     share(_move_block, len(places), (keys, shift, places, out))
 
 
-@njit(cache=True)
+@uncounted
 def _row_order(rows, i, j):
     """Return -1, 0 or 1 if row i of an array sorts before, with or after row j."""
     for c in range(rows.shape[1]):
@@ -84,7 +84,7 @@ def _row_order(rows, i, j):
     return 0
 
 
-@njit(cache=True)
+@uncounted
 def _less(i, j, ids, means, rest):
     """Return whether splat i sorts before splat j of equal depth: by mean, then by the rest of its content."""
     i = ids[i]
@@ -99,7 +99,7 @@ def _less(i, j, ids, means, rest):
     return False
 
 
-@njit(cache=True, inline="always")  # a call would count references to the arrays each time
+@uncounted
 def _sort_short(order, start, stop, ids, means, rest, near, first):
     """Sort a short run by insertion; near[k - first] is a copy of the mean of order[k]."""
     for k in range(start + 1, stop):
@@ -133,30 +133,51 @@ def _sort_short(order, start, stop, ids, means, rest, near, first):
         order[at] = m
 
 
+@uncounted
+def _merge_runs(order, start, stop, ids, means, rest, width, scratch):
+    """Merge neighboring sorted runs of `width` splats, two and two, in place; scratch is (stop - start,)."""
+    for left in range(start, stop, 2 * width):
+        middle = min(left + width, stop)
+        right = min(left + 2 * width, stop)
+        i = left
+        j = middle
+        for k in range(left, right):
+            take_left = i < middle
+            if take_left and j < right:
+                take_left = not _less(order[j], order[i], ids, means, rest)
+            if take_left:
+                scratch[k - start] = order[i]
+                i += 1
+            else:
+                scratch[k - start] = order[j]
+                j += 1
+        for k in range(left, right):
+            order[k] = scratch[k - start]
+
+
 @inner
 def _sort_long(order, start, stop, ids, means, rest):
     """Sort a run by merging."""
     scratch = np.empty(stop - start, order.dtype)
     width = 1
     while width < stop - start:
-        for left in range(start, stop, 2 * width):
-            middle = min(left + width, stop)
-            right = min(left + 2 * width, stop)
-            i = left
-            j = middle
-            for k in range(left, right):
-                take_left = i < middle
-                if take_left and j < right:
-                    take_left = not _less(order[j], order[i], ids, means, rest)
-                if take_left:
-                    scratch[k - start] = order[i]
-                    i += 1
-                else:
-                    scratch[k - start] = order[j]
-                    j += 1
-            for k in range(left, right):
-                order[k] = scratch[k - start]
+        _merge_runs(order, start, stop, ids, means, rest, width, scratch)
         width *= 2
+
+
+@uncounted
+def _unpack(keys, first, last, ids, means, order, near):
+    """Write the splats of keys first..last into `order`, and copies of the means of those of equal depth."""
+    depth = np.uint64(32)
+    index = np.uint64(0xFFFFFFFF)
+    tied = False
+    for k in range(first, last):  # apart from the sorting: here no load waits for a comparison
+        order[k] = np.int32(keys[k] & index)
+        follows = tied
+        tied = k + 1 < last and keys[k] >> depth == keys[k + 1] >> depth
+        if (follows or tied) and k - first < len(near):
+            i = ids[order[k]]
+            near[k - first, 0], near[k - first, 1], near[k - first, 2] = means[i, 0], means[i, 1], means[i, 2]
 
 
 @in_threads(lambda keys, *_: (len(keys) + BLOCK - 1) // BLOCK)
@@ -168,7 +189,6 @@ def order_ties(taken, keys, ids, means, scales, quats, opacities, sh0, order):
     """
     rest = (scales, quats, opacities, sh0)
     depth = np.uint64(32)
-    index = np.uint64(0xFFFFFFFF)
     blocks = (len(keys) + BLOCK - 1) // BLOCK
     block = take_next(taken)
     near = np.empty((BLOCK + _SHORT if block < blocks else 0, 3), np.float32)
@@ -179,14 +199,7 @@ def order_ties(taken, keys, ids, means, scales, quats, opacities, sh0, order):
             first += 1
         while first < last < len(keys) and keys[last] >> depth == keys[last - 1] >> depth:
             last += 1
-        tied = False
-        for k in range(first, last):  # apart from the sorting: here no load waits for a comparison
-            order[k] = np.int32(keys[k] & index)
-            follows = tied
-            tied = k + 1 < last and keys[k] >> depth == keys[k + 1] >> depth
-            if (follows or tied) and k - first < len(near):
-                i = ids[order[k]]
-                near[k - first, 0], near[k - first, 1], near[k - first, 2] = means[i, 0], means[i, 1], means[i, 2]
+        _unpack(keys, first, last, ids, means, order, near)
         start = first
         while start < last:
             stop = start + 1

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsvis._kernels.compiled import inner, kernel, njit
+from gsvis._kernels.compiled import inner, kernel, njit, uncounted
 from gsvis._kernels.shared import share, take_next
 from gsvis._kernels.threads import in_parts, in_threads, on_numba_threads
 
@@ -81,7 +81,7 @@ def _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r
     return x, y, z, u, v
 
 
-@inner(fastmath=FUSED)
+@uncounted(fastmath=FUSED)
 def _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, first, last, out):
     """Write the indices of Gaussians first..last whose footprint may reach the image into out; return their number.
 
@@ -123,51 +123,64 @@ def _covariance(m):
     return xx, xy, yy, p * p + q * q + r * r
 
 
+@uncounted(fastmath=FUSED, error_model="numpy")
+def _project_block(
+    block, scene, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts, candidates, m, r
+):
+    """Project the Gaussians of one block; see `project`. `candidates` (2048,), m (2, 3) and r (3, 3) are buffers."""
+    means, quats, scales, opacities = scene
+    fx, fy, cx, cy = intrinsics
+    at = block * _BLOCK
+    last = min(len(means), (block + 1) * _BLOCK)
+    found = _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, at, last, candidates)
+    for k in range(found):
+        i = candidates[k]
+        x, y, z, _, _ = _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r)
+        xx, xy, yy, det = _covariance(m)
+        full = det + DILATION * (xx + yy) + DILATION * DILATION
+        opacity = np.float64(opacities[i])
+        if antialiased:
+            opacity *= np.sqrt(det / full)
+        if opacity * 255.0 < 1.0 or not full < np.inf:
+            continue
+        reach = np.sqrt(2.0 * np.log(255.0 * opacity)) * (1.0 + 1e-6)
+        xx = xx + DILATION
+        yy = yy + DILATION
+        half_x = reach * np.sqrt(xx)
+        half_y = reach * np.sqrt(yy)
+        u = fx * x / z + cx
+        v = fy * y / z + cy
+        if u + half_x < 0.5 or u - half_x > width - 0.5 or v + half_y < 0.5 or v - half_y > height - 0.5:
+            continue
+        ids[at] = i
+        splats[at, 0] = u
+        splats[at, 1] = v
+        splats[at, 2] = -0.5 * LOG2E * yy / full
+        splats[at, 3] = LOG2E * xy / full
+        splats[at, 4] = -0.5 * LOG2E * xx / full
+        splats[at, 5] = np.log2(opacity)
+        splats[at, 6] = half_x
+        splats[at, 7] = half_y
+        depths[at] = z
+        at += 1
+    counts[block] = at - block * _BLOCK
+
+
 @in_threads(lambda *arguments: len(arguments[-1]))
 @kernel(fastmath=FUSED, error_model="numpy")
 def project(
     taken, means, quats, scales, opacities, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts
 ):
     """Project all N Gaussians; block b keeps its visible ones at 2048 b, counts[b] of them."""
-    fx, fy, cx, cy = intrinsics
+    scene = means, quats, scales, opacities
     m = np.zeros((2, 3))
     r = np.empty((3, 3))
     block = take_next(taken)
     candidates = np.empty(_BLOCK if block < len(counts) else 0, np.int64)
     while block < len(counts):
-        at = block * _BLOCK
-        last = min(len(means), (block + 1) * _BLOCK)
-        found = _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, at, last, candidates)
-        for i in candidates[:found]:
-            x, y, z, _, _ = _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r)
-            xx, xy, yy, det = _covariance(m)
-            full = det + DILATION * (xx + yy) + DILATION * DILATION
-            opacity = np.float64(opacities[i])
-            if antialiased:
-                opacity *= np.sqrt(det / full)
-            if opacity * 255.0 < 1.0 or not full < np.inf:
-                continue
-            reach = np.sqrt(2.0 * np.log(255.0 * opacity)) * (1.0 + 1e-6)
-            xx = xx + DILATION
-            yy = yy + DILATION
-            half_x = reach * np.sqrt(xx)
-            half_y = reach * np.sqrt(yy)
-            u = fx * x / z + cx
-            v = fy * y / z + cy
-            if u + half_x < 0.5 or u - half_x > width - 0.5 or v + half_y < 0.5 or v - half_y > height - 0.5:
-                continue
-            ids[at] = i
-            splats[at, 0] = u
-            splats[at, 1] = v
-            splats[at, 2] = -0.5 * LOG2E * yy / full
-            splats[at, 3] = LOG2E * xy / full
-            splats[at, 4] = -0.5 * LOG2E * xx / full
-            splats[at, 5] = np.log2(opacity)
-            splats[at, 6] = half_x
-            splats[at, 7] = half_y
-            depths[at] = z
-            at += 1
-        counts[block] = at - block * _BLOCK
+        _project_block(
+            block, scene, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts, candidates, m, r
+        )
         block = take_next(taken)
 
 
@@ -213,33 +226,45 @@ def project_backward(
     `sums` (M, 10) is what `blend_backward` returns, summed over tiles; `v_means2d` (M, 2) receives the gradient in the
     image, in loss per pixel.
     """
-    v_means, v_quats, v_scales = outs
+    given = means, quats, scales, opacities
     for block in range(begin, end):
         m = np.zeros((2, 3))
         r = np.empty((3, 3))
         v_r = np.empty((3, 3))
-        for j in range(256 * block, min(len(ids), 256 * block + 256)):
-            _one_backward(
-                ids[j],
-                means,
-                quats,
-                scales,
-                opacities,
-                viewmat,
-                intrinsics,
-                size,
-                antialiased,
-                j,
-                sums,
-                v_means2d,
-                v_opacities,
-                v_means,
-                v_quats,
-                v_scales,
-                m,
-                r,
-                v_r,
-            )
+        _backward_block(
+            block, given, viewmat, intrinsics, size, antialiased, ids, sums, v_means2d, v_opacities, outs, m, r, v_r
+        )
+
+
+@uncounted(fastmath=FUSED, error_model="numpy")
+def _backward_block(
+    block, given, viewmat, intrinsics, size, antialiased, ids, sums, v_means2d, v_opacities, outs, m, r, v_r
+):
+    """Run `project_backward` for the splats of one block; m (2, 3), r and v_r (3, 3) are buffers."""
+    means, quats, scales, opacities = given
+    v_means, v_quats, v_scales = outs
+    for j in range(256 * block, min(len(ids), 256 * block + 256)):
+        _one_backward(
+            ids[j],
+            means,
+            quats,
+            scales,
+            opacities,
+            viewmat,
+            intrinsics,
+            size,
+            antialiased,
+            j,
+            sums,
+            v_means2d,
+            v_opacities,
+            v_means,
+            v_quats,
+            v_scales,
+            m,
+            r,
+            v_r,
+        )
 
 
 @njit(cache=True, fastmath=FUSED, inline="always")

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsvis._kernels.compiled import inner, kernel, njit
+from gsvis._kernels.compiled import inner, kernel, njit, uncounted
+from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.shared import share, take_next
 from gsvis._kernels.threads import in_parts, in_threads, on_numba_threads
 from gsvis.render._kernels.lanes import CHANNELS, LANES, RECORD, blend, blend_backward, find_reached_rows, weigh
@@ -20,7 +21,7 @@ _BATCH = 32  # Gaussians prepared at a time
 _MARGIN = 1e-3  # pixels; a surplus tile costs little, a missing tile shows as an edge
 
 
-@njit(cache=True)
+@uncounted
 def _span(splat, low, high):
     """Return the least and largest x at which the splat reaches alpha 1/255 between the lines y = low and y = high.
 
@@ -41,13 +42,13 @@ def _span(splat, low, high):
     return splat[0] + (-b * left - nearest) / (2.0 * a), splat[0] + (-b * right + furthest) / (2.0 * a)
 
 
-@njit(cache=True)
+@uncounted
 def _tiles_between(low, high, tiles):
     """Return the first and last of `tiles` tiles along an axis with a pixel center in [low, high]."""
     return max(int(np.ceil((low + 0.5) / TILE)) - 1, 0), min(int(np.floor((high - 0.5) / TILE)), tiles - 1)
 
 
-@inner
+@uncounted
 def _box(splat, tiles_x, tiles_y):
     """Return the first and last column, and the first and last row, of the tiles under the box of a splat."""
     x0, x1 = _tiles_between(splat[0] - splat[6], splat[0] + splat[6], tiles_x)
@@ -55,7 +56,7 @@ def _box(splat, tiles_x, tiles_y):
     return x0, x1, y0, y1
 
 
-@inner
+@uncounted
 def _count_under_boxes(block, splats, tiles_x, tiles_y, out):
     """Count the tiles under the boxes of the splats of one block."""
     total = 0
@@ -72,7 +73,7 @@ def count_candidates(splats, tiles_x, tiles_y, out):
     share(_count_under_boxes, len(out), (splats, tiles_x, tiles_y, out))
 
 
-@inner(error_model="numpy")
+@uncounted(error_model="numpy")
 def _meet_block(block, splats, room, tiles_x, tiles_y, met, spans):
     """Write the tiles that the splats of one block reach; see `meet_tiles`."""
     at = np.int64(0)
@@ -104,7 +105,7 @@ def meet_tiles(splats, room, tiles_x, tiles_y, met, spans):
     share(_meet_block, len(room) - 1, (splats, room, tiles_x, tiles_y, met, spans))
 
 
-@inner
+@uncounted
 def _find_met(order, start, count, spans, room, met, found):
     """Write the start of a splat's tiles, their number and the first tile into found (K, 3), for `count` splats.
 
@@ -210,9 +211,14 @@ def _open_tile(left, top, width, height):
     return state, gates, rows, columns
 
 
-@njit(cache=True)
+@uncounted
 def _prepare(splats, features, members, first, place, count, left, top, gates, records, todo):
     """Write the records and reached rows of `count` Gaussians of a tile's list; the list starts at `first`."""
+    for j in range(count):
+        m = np.int64(members[first + place + j])
+        prefetch(splats, 8 * m)
+        prefetch(splats, 8 * m + 7)
+        prefetch(features, 4 * m)
     for j in range(count):
         m = members[first + place + j]
         x = splats[m, 0] - (left + 0.5)
