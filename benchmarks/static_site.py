@@ -12,8 +12,9 @@ Given: a package with visible sets (--package), --eyes centers of cells and dire
 Measured: bytes until the image of what has come reaches 35 dB (25 and 30 too) against that of all that the package
     holds in its highest level with all terms, 320 x 224, 90 degrees wide; their ratio; requests. Bytes until the first
     block has come, what is on its way beside it among them.
-Defaults chosen on: seven eyes of seed 101 in showroom: what the sphere of a part is, and how it counts in view. Sizes
-    of parts and strata on other eyes of showroom. Nothing was chosen on nika.
+Defaults chosen on: seven eyes of seed 101 in showroom: what the sphere of a part is. 27 eyes of seeds 77, 2029 and 5077
+    there: how spheres count in view, and those of cells. Sizes of parts and strata on other eyes of showroom. Nothing
+    was chosen on nika.
 """
 
 from __future__ import annotations

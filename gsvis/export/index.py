@@ -68,9 +68,8 @@ class Spheres:
         least = 1e-6 * float(max(spread.max(initial=0.0), np.ptp(centers, axis=0).max(initial=0.0))) or 1e-6
         scale = float(np.float32(max(np.median(spread), least)))
         places = np.clip(np.rint(STEPS * np.arcsinh((centers - middle) / scale)), -_MOST, _MOST).astype(np.int64)
-        spread = cls._spread(
-            points, middle + scale * np.sinh(places / STEPS), weights / np.repeat(sums, counts), counts
-        )
+        rounded = middle + scale * np.sinh(places / STEPS)
+        spread = cls._spread(points, rounded, weights / np.repeat(sums, counts), counts)
         radii = np.rint(OCTAVE * np.log2(np.maximum(spread, 1e-300) / scale)) + 128
         return cls(middle, scale, places, np.clip(radii, 0, 255).astype(np.int64))
 
@@ -79,6 +78,16 @@ class Spheres:
         """Return the root of the mean squared distance (P,) of the points of each part from its center."""
         squared = np.square(points - np.repeat(centers, counts, axis=0)).sum(axis=1)
         return np.asarray(np.sqrt(np.bincount(np.repeat(np.arange(len(counts)), counts), squared * shares)), np.float64)
+
+    @property
+    def centers(self) -> F64:
+        """(P, 3) the centers that a reader finds."""
+        return np.asarray(self.middle + self.scale * np.sinh(self.places / STEPS))
+
+    @property
+    def lengths(self) -> F64:
+        """(P,) the radii that a reader finds, scene units."""
+        return np.asarray(self.scale * 2.0 ** ((self.radii - 128) / OCTAVE))
 
     def as_dict(self) -> dict[str, Any]:
         """Return middle and scale, ready for JSON."""

@@ -18,7 +18,7 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.stream.source import class_weights
 
-__all__ = ["CellLight", "Lights", "areas_of"]
+__all__ = ["CellLight", "DrawnLight", "Lights", "areas_of"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -44,6 +44,18 @@ class CellLight(NamedTuple):
 
     ids: I64
     lights: F64
+
+
+class DrawnLight(NamedTuple):
+    """What a cell sees, and how much of it pictures around eyes in the cell show.
+
+    Attributes:
+        light: What the cell sees.
+        drawn: (V,) the part of `light.lights` that pictures add.
+    """
+
+    light: CellLight
+    drawn: F64
 
 
 class Lights:
@@ -82,7 +94,7 @@ class Lights:
         eyes = self.grid.centers[cell] + size * self._apart[ids]
         return self._seen(ids, classes, eyes, size / 2.0)
 
-    def drawn_in(self, cell: int, shown: NDArray[np.bool_]) -> CellLight:
+    def drawn_in(self, cell: int, shown: NDArray[np.bool_]) -> DrawnLight:
         """Return what a cell sees, in part as pictures around a few eyes in the cell show it.
 
         The weight classes of a cell are largest weights, so alone they count what hardly shows as if it were in view;
@@ -97,9 +109,9 @@ class Lights:
         spread = np.random.default_rng(cell).uniform(-_REACH, _REACH, (_EYES, 3))
         eyes = self.grid.centers[cell] + self.grid.cell_size * spread
         faces = view_weights(self._g[ids[kept]], Cameras.cubemap(eyes, _SIZE)).summed
-        found = _STATED * lights
-        found[kept] += faces.sum(axis=0, dtype=np.float64) * 4.0 / (_SIZE * _SIZE * _EYES)
-        return CellLight(ids, found)
+        drawn = np.zeros(len(ids))
+        drawn[kept] = faces.sum(axis=0, dtype=np.float64) * 4.0 / (_SIZE * _SIZE * _EYES)
+        return DrawnLight(CellLight(ids, _STATED * lights + drawn), drawn)
 
     def of_eye(self, eye: F64) -> CellLight:
         """Return what the cell of an eye sees, from this eye."""

@@ -1,8 +1,9 @@
 """Write the rows of the cells of a static scene: the parts that each cell sees, and what they are worth there.
 
-A row has a bitmap of parts, lowest bit first; then a byte for the gain of each of these parts; and, where the scene has
-active terms, a byte for what the terms of each are worth. A scene without visible sets has one cell that sees
-everything, from nowhere.
+A row has a bitmap of parts, lowest bit first; then a byte for the gain of each of these parts; where the scene has
+active terms, a byte for what the terms of each are worth; and four bytes for the sphere in which the light of each is,
+as pictures in the cell show it. A scene without visible sets has one cell that sees everything, from nowhere, without
+spheres.
 """
 
 from __future__ import annotations
@@ -14,19 +15,22 @@ from numpy.typing import NDArray
 
 from gsvis.color.activation import Activation
 from gsvis.export.columns import GAIN_STEPS, column, compress, differences, quantize_gains
-from gsvis.export.lights import SPHERE, CellLight, Lights
+from gsvis.export.index import OCTAVE, Spheres
+from gsvis.export.lights import SPHERE, CellLight, DrawnLight, Lights
 from gsvis.package.package import Package
 from gsvis.progress import Progress
 from gsvis.pvs.cells import CellGrid
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["CellRows", "TermWorth", "rows_of_package", "rows_of_scene"]
+__all__ = ["CellRows", "SeenSpheres", "TermWorth", "rows_of_package", "rows_of_scene"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 _MOST_LIGHT = 1 << 16  # whole spheres of light from one part
+_STEPS = 32  # of the center of a sphere for each radius of the part
+_LEAST = 0.035  # sides of a cell, about, that add to each radius in quadrature: eyes of a cell differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,13 +68,16 @@ def rows_of_scene(gains: F64, part_of: I64) -> CellRows:
     return CellRows(None, top, False, (_row(table, np.ones(len(table), np.bool_), top),))
 
 
-def rows_of_package(lights: Lights, worth: TermWorth | None, part_of: I64, progress: Progress) -> CellRows:
+def rows_of_package(
+    lights: Lights, worth: TermWorth | None, part_of: I64, spheres: SeenSpheres, progress: Progress
+) -> CellRows:
     """Return a row for each cell.
 
     Args:
         lights: The light in the cells.
         worth: What terms are worth; None if cells do not choose terms.
         part_of: (N,) the part of each Gaussian, -1 for those that have none.
+        spheres: Finds where the light of parts is.
         progress: Called with stage "sets", in cells.
     """
     count = int(part_of.max()) + 1
@@ -78,11 +85,11 @@ def rows_of_package(lights: Lights, worth: TermWorth | None, part_of: I64, progr
     rows = []
     progress("sets", 0, len(lights))
     for cell in range(len(lights)):
-        light = lights.drawn_in(cell, part_of >= 0)
-        gains = gains_of_parts(light, part_of, count)
+        found = lights.drawn_in(cell, part_of >= 0)
+        gains = gains_of_parts(found.light, part_of, count)
         seen = gains > 0
-        terms = b"" if worth is None else worth.of_parts(cell, light, part_of, count)[seen].tobytes()
-        rows.append(_row(gains, seen, top, terms))
+        terms = b"" if worth is None else worth.of_parts(cell, found.light, part_of, count)[seen].tobytes()
+        rows.append(_row(gains, seen, top, terms, spheres.of_cell(found, part_of)[seen].T.tobytes()))
         progress("sets", cell + 1, len(lights))
     return CellRows(lights.grid, top, worth is not None, tuple(rows))
 
@@ -92,6 +99,51 @@ def gains_of_parts(light: CellLight, part_of: I64, count: int) -> F64:
     parts = part_of[light.ids]
     kept = parts >= 0
     return np.asarray(np.bincount(parts[kept], light.lights[kept], minlength=count), np.float64)
+
+
+class SeenSpheres:
+    """Where the light of parts is that a cell sees: a sphere for each part, beside that of all its light.
+
+    Args:
+        means: (N, 3) centers of the Gaussians of the package.
+        spheres: The spheres of the P parts.
+        cell_size: Side of a cell, scene units.
+    """
+
+    def __init__(self, means: NDArray[np.float32], spheres: Spheres, cell_size: float) -> None:
+        self._means = means.astype(np.float64)
+        self._centers = spheres.centers
+        self._lengths = spheres.lengths
+        self._least = _LEAST * cell_size
+
+    def of_cell(self, found: DrawnLight, part_of: I64) -> U8:
+        """Return (P, 4) bytes: x, y, z of the center in 1/32 radii from that of the part, and the radius, above it.
+
+        All have 128 added: a part of which pictures show nothing has its own sphere.
+
+        Args:
+            found: What the cell sees.
+            part_of: (N,) the part of each Gaussian, -1 for those that have none.
+        """
+        shown = np.flatnonzero(found.drawn > 0.0)
+        ids = found.light.ids[shown]
+        weights = found.drawn[shown]
+        parts = part_of[ids]
+        count = len(self._centers)
+        sums = np.bincount(parts, weights, minlength=count)
+        some = sums > 0.0
+        shares = weights / sums[parts]
+        points = self._means[ids]
+        centers = self._centers.copy()
+        for axis in range(3):
+            middle = np.bincount(parts, shares * points[:, axis], minlength=count)
+            centers[some, axis] = middle[some]
+        away = np.square(points - centers[parts]).sum(axis=1)
+        radii = np.sqrt(np.bincount(parts, shares * away, minlength=count) + self._least**2)
+        steps = np.full((count, 4), 128.0)
+        steps[:, :3] += np.rint(_STEPS * (centers - self._centers) / self._lengths[:, None])
+        steps[some, 3] += np.rint(OCTAVE * np.log2(radii[some] / self._lengths[some]))
+        return np.asarray(np.clip(steps, 0, 255), np.uint8)
 
 
 class TermWorth:
@@ -136,7 +188,7 @@ class TermWorth:
         return np.where(found > 0, np.clip(octaves, 1, 255), 0).astype(np.uint8)
 
 
-def _row(gains: F64, seen: NDArray[np.bool_], top: int, terms: bytes = b"") -> bytes:
+def _row(gains: F64, seen: NDArray[np.bool_], top: int, terms: bytes = b"", spheres: bytes = b"") -> bytes:
     """Return the row of a cell, compressed."""
     bits = np.packbits(seen, bitorder="little")
-    return compress(bits.tobytes(), quantize_gains(gains[seen], top).tobytes(), terms)
+    return compress(bits.tobytes(), quantize_gains(gains[seen], top).tobytes(), terms, spheres)

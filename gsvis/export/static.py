@@ -31,7 +31,7 @@ from gsvis.export.lights import Lights, areas_of
 from gsvis.export.parts import divide_in_space
 from gsvis.export.pieces import PieceCoder, place
 from gsvis.export.placing import Placing
-from gsvis.export.rows import CellRows, TermWorth, rows_of_package, rows_of_scene
+from gsvis.export.rows import CellRows, SeenSpheres, TermWorth, rows_of_package, rows_of_scene
 from gsvis.export.start import Start, start_poses
 from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.fields import parse_json
@@ -63,7 +63,7 @@ __all__ = [
 I64 = NDArray[np.int64]
 
 FORMAT = "gsvis-static"
-VERSION = 6
+VERSION = 7
 SCENE = "scene.json"
 FILES = ("index", "grid", "facts", "walk")
 """Files of a scene besides `scene.json`."""
@@ -308,6 +308,7 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
     known = _Info(g.bounds(0.9), None, info.up, info.meters_per_unit, options.poses or views)
     known = replace(known, poses=known.poses or start_poses(known.bounds, grid, options.up or info.up))
     pieces = {"part": [coder.encode(placing.of_part(k)) for k in range(len(parts))]}
+    spheres = Spheres.from_parts(parts, g.means, gains)
     if len(placed.term_records):
         pieces["terms"] = [coder.encode_terms(placing.of_part(k)) for k in range(len(parts))]
     files: dict[str, bytes] = {}
@@ -315,7 +316,8 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
         cells = rows_of_scene(gains[placing.order], placing.part_of[placing.order])
     else:
         worth = None if package.epsilon is None else TermWorth(package, g)
-        cells = rows_of_package(lights, worth, placing.part_of, progress)
+        seen = SeenSpheres(g.means, spheres, lights.grid.cell_size)
+        cells = rows_of_package(lights, worth, placing.part_of, seen, progress)
         meters = info.meters_per_unit if options.meters_per_unit is None else options.meters_per_unit
         floor = floor_of_cells(lights.grid, meters)
         files["facts"] = _facts(lights.grid, floor)
@@ -324,7 +326,7 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
         first = FirstViews(lights, g, worth, coder, placing)
         known = replace(known, first=tuple(_standing(pose, floor) for pose in known.poses))
         pieces["first"] = [first.encode(pose, most) for pose in known.first]
-    return _Content(coder, parts, cells, files, pieces, Spheres.from_parts(parts, g.means, gains), known)
+    return _Content(coder, parts, cells, files, pieces, spheres, known)
 
 
 def _standing(pose: Start, floor: dict[str, Any]) -> Start:
@@ -455,6 +457,7 @@ def _document(content: _Content, files: dict[str, StaticFile], options: StaticOp
             "size": 0.0 if grid is None else grid.cell_size,
             "gain_top": content.cells.top,
             "active": content.cells.active,
+            "spheres": grid is not None,
         },
         "poses": [pose.as_dict() for pose in info.poses],
         "first": [{"bytes": len(data), **pose.as_dict()} for data, pose in zip(firsts, info.first, strict=True)],

@@ -168,9 +168,13 @@ class Reader:
         return out
 
     def cells(self) -> list[tuple[np.ndarray, np.ndarray | None]]:
-        """Gains (P,) of parts in each cell, and what their terms are worth."""
+        """Gains (P,) of parts in each cell, and what their terms are worth; `spheres` are those of the same cells.
+
+        A sphere (P, 4) is a center and a radius, scene units.
+        """
         columns = Columns(self.data["grid"][0], self.scene["cells"]["count"])
         self.boxes = np.stack([columns.sums(4) for _ in range(3)], axis=1)
+        self.spheres: list[np.ndarray] = []
         assert columns.next(4).tolist() == [len(row) for row in self.data["row"]]
         out = []
         parts = self.scene["parts"]
@@ -183,9 +187,16 @@ class Reader:
             rest, worth = data[bits + len(seen) :], None
             if self.scene["cells"]["active"]:
                 worth = np.zeros(parts)
-                worth[seen] = np.where(rest > 0, 2.0 ** (rest - 128.0), 0.0)
+                worth[seen] = np.where(rest[: len(seen)] > 0, 2.0 ** (rest[: len(seen)] - 128.0), 0.0)
+                rest = rest[len(seen) :]
+            spheres = np.column_stack([self.centers, self.radii])
+            if self.scene["cells"]["spheres"]:
+                steps = rest.reshape(4, -1).T - 128.0
+                spheres[seen, :3] += steps[:, :3] / 32 * self.radii[seen, None]
+                spheres[seen, 3] *= 2.0 ** (steps[:, 3] / 4)
             else:
                 assert len(rest) == 0
+            self.spheres.append(spheres)
             out.append((gains, worth))
         return out
 
@@ -257,7 +268,7 @@ def test_a_cell_says_what_each_part_and_its_terms_are_worth(package: Package, tm
     highest = contents.last == len(contents.names) - 1
     for cell, (gains, worth) in enumerate(read.cells()):
         light = np.zeros(len(g))
-        ids, values = lights.drawn_in(cell, highest)
+        ids, values = lights.drawn_in(cell, highest).light
         light[ids] = values
         changes = contributions(contents.colors().dequantize(), g.means, sets.grid.centers[cell])
         squares = np.zeros(len(owners))
@@ -272,16 +283,48 @@ def test_a_cell_says_what_each_part_and_its_terms_are_worth(package: Package, tm
             assert 0.7 * wanted <= worth[k] <= 1.42 * wanted
 
 
+def test_a_cell_says_where_the_light_of_a_part_is_that_its_pictures_show(
+    package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gsvis.export.parts.PART", 40)
+    write_static(tmp_path / "out", package)
+    read, g = Reader(tmp_path / "out"), package.contents.gaussians()
+    of, lights = matched(read, package), Lights(package, package.contents.gaussians())
+    highest = package.contents.last == len(package.contents.names) - 1
+    read.cells()
+    own = np.column_stack([read.centers, read.radii])
+    shown_parts = 0
+    for cell, spheres in enumerate(read.spheres):
+        (ids, _), drawn = lights.drawn_in(cell, highest)
+        light = np.zeros(len(g))
+        light[ids] = drawn
+        for sphere, part, piece in zip(spheres, own, read.pieces, strict=True):
+            members = of[piece["ids"]]
+            if not light[members].any():
+                np.testing.assert_array_equal(sphere, part)
+                continue
+            shown_parts += 1
+            middle = np.average(g.means[members].astype(float), axis=0, weights=light[members])
+            steps = (middle - part[:3]) / part[3]
+            near = np.abs(steps) < 3.9
+            np.testing.assert_allclose(sphere[:3][near], middle[near], atol=0.51 / 32 * part[3])
+            away = np.average(np.square(g.means[members] - middle).sum(axis=1), weights=light[members])
+            least = 0.035 * lights.grid.cell_size
+            assert abs(np.log2(sphere[3] / np.sqrt(away + least**2))) < 0.13
+    assert shown_parts > len(read.spheres)
+
+
 def test_pictures_in_a_cell_add_to_what_its_classes_tell(package: Package) -> None:
     contents = package.contents
     highest = contents.last == len(contents.names) - 1
     lights = Lights(package, contents.gaussians())
     for cell in range(len(lights)):
         ids, stated = lights.of_cell(cell)
-        _, drawn = lights.drawn_in(cell, highest)
-        _, without = lights.drawn_in(cell, np.zeros(len(highest), np.bool_))
+        (_, drawn), added = lights.drawn_in(cell, highest)
+        (_, without), nothing = lights.drawn_in(cell, np.zeros(len(highest), np.bool_))
+        assert not nothing.any()
         assert np.array_equal(drawn[~highest[ids]], without[~highest[ids]])  # other levels are not drawn
-        added = drawn - without
+        np.testing.assert_allclose(drawn, without + added)
         assert (added >= 0.0).all()
         assert 0.0 < added.sum() <= 24.0  # six faces of four, were every pixel opaque
         assert np.allclose(without / without.sum(), stated / stated.sum())

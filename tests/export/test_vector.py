@@ -42,7 +42,10 @@ def spelled(folder: Path, package: Package | None) -> dict[str, Any]:
         "records": [record.tobytes().hex() for record in read.by_id("records")],
         "means": read.by_id("means").round(6).tolist(),
         "parts": [piece["ids"].tolist() for piece in read.pieces],
-        "cells": [{"gains": gains.round(6).tolist()} for gains, _ in read.cells()],
+        "cells": [
+            {"gains": gains.round(6).tolist(), "spheres": spheres.round(6).tolist()}
+            for (gains, _), spheres in zip(read.cells(), read.spheres, strict=True)
+        ],
     }
     if package is not None:
         said["terms"] = [[term.hex() for term in terms] for terms in read.terms()]

@@ -12,7 +12,7 @@ import { type ChunkRows, readPiece } from "../src/core/static-pieces.ts";
 import { StaticHost } from "../src/core/static-host.ts";
 import type { Report } from "../src/core/worker-source.ts";
 import { HeldParts, HttpParts } from "../src/core/static-parts.ts";
-import { type Choice, choose, frustum, HELD, type Holdings, NONE, worthOf } from "../src/core/static-plan.ts";
+import { type Choice, choose, frustum, HELD, type Holdings, insideOf, NONE, sphereOf, worthOf } from "../src/core/static-plan.ts";
 import { Cells, readRow } from "../src/core/static-cells.ts";
 import { parseScene, type StaticScene } from "../src/core/static-scene.ts";
 import type { SetBlocks } from "../src/core/static-sets.ts";
@@ -26,7 +26,7 @@ interface Recorded {
   records: string[];
   means: number[][];
   parts: number[][]; // ids
-  cells: { gains: number[] }[];
+  cells: { gains: number[]; spheres: number[][] }[]; // spheres: center and radius
   terms?: string[][];
   centers?: number[][];
   harmonics?: string[];
@@ -417,8 +417,8 @@ test("what is no scene, or of a newer version, is said in one line", async (t) =
   const scene = JSON.parse(filesOf(VECTOR.bare).get("scene.json")!.toString()) as Record<string, unknown>;
   const wrong: [string, RegExp][] = [
     ["<html>", /expected JSON/], ["{}", /expected a static scene/],
-    [JSON.stringify({ ...scene, version: 7 }), /version 6, got 7; export/],
-    [JSON.stringify({ ...scene, version: 5 }), /version 6, got 5; export/],
+    [JSON.stringify({ ...scene, version: 8 }), /version 7, got 8; export/],
+    [JSON.stringify({ ...scene, version: 6 }), /version 7, got 6; export/],
     [JSON.stringify({ ...scene, files: { index: { name: "../secret.bin", bytes: 1, count: 1 } } }), /name without a path/],
     [JSON.stringify({ ...scene, parts: 3 }), /files, part: expected 3 files/],
     [JSON.stringify({ ...scene, gaussians: -1 }), /scene.json, gaussians: expected a number from 0 to/],
@@ -460,6 +460,9 @@ test("parts, cells and gains are those of the writer", async () => {
     for (const [cell, wanted] of scene.cells.entries()) {
       const row = await readRow(said, file("row", cell), cells.middle(cell));
       wanted.gains.forEach((gain, k) => assert.ok(Math.abs(row.gains[k] - gain) <= 1e-5 * gain + 1e-6));
+      wanted.spheres.forEach((sphere, p) => {
+        sphereOf(index, row, p).forEach((v, k) => assert.ok(Math.abs(v - sphere[k]) <= 1e-5 * Math.abs(sphere[k]) + 1e-5));
+      });
     }
     scene.centers?.forEach((center, cell) => assert.equal(cells.at(center), cell));
   }
@@ -496,11 +499,15 @@ test("the plan takes what has most light in view for its bytes and its delay", a
   const pick = (has: Holdings, delay: number, blocks: SetBlocks = { bytes: [], worth: [] }): Choice | null =>
     choose(index, worth, row.terms, has, delay, blocks);
   for (let p = 0; p < index.count; p++) {
-    const [x, y, z, radius] = index.spheres.subarray(4 * p, 4 * p + 4);
+    if (row.gains[p] === 0) continue;
+    const [low, high] = [sphereOf(index, row, p), sphereOf(index, null, p)].map((sphere) => insideOf(planes, ...sphere)).sort((a, b) => a - b);
+    const share = (worth[p] / row.gains[p] - 0.0003) / 0.9997;
+    assert.ok(share >= low - 1e-5 && share <= high + 1e-5);
+    const [x, y, z, radius] = sphereOf(index, row, p);
     const depth = Math.min(...[0, 4, 8, 12, 16].map((k) => planes[k] * x + planes[k + 1] * y + planes[k + 2] * z + planes[k + 3]));
-    const seen = depth >= radius ? 1 : depth <= -radius ? 0.003 : null; // null: a border cuts the sphere
-    if (seen !== null) assert.ok(Math.abs(worth[p] - seen * row.gains[p]) <= 1e-5 * row.gains[p]);
-    assert.ok(worth[p] <= row.gains[p] * (1 + 1e-5) && worth[p] >= 0.003 * row.gains[p] * (1 - 1e-5));
+    const away = Math.sqrt(3) * depth / radius, inside = insideOf(planes, x, y, z, radius);
+    assert.ok(Math.abs(away) < 3 || Math.abs(inside - Number(away > 0)) < 0.002); // three deviations from the border
+    assert.equal(inside > 0.5, away > 0);
   }
   const best = pick(held(), 0)!.number;
   for (let p = 0; p < index.count; p++) {
@@ -524,7 +531,7 @@ test("the plan takes what has most light in view for its bytes and its delay", a
 test("outside of its cell an eye sees also what the cell does not, the more the farther it is", async () => {
   const { said, file } = await open(VECTOR.package), index = await Index.open(said, file("index"));
   const cells = await Cells.open(said, file("grid")), middle = cells.middle(0)!, { size } = said.cells;
-  const blind = { gains: new Float32Array(index.count), terms: null, middle };
+  const blind = { gains: new Float32Array(index.count), terms: null, middle, spheres: null };
   const at = (sides: number): Float32Array => worthOf(
     index, blind, size, { position: [middle[0] + sides * size, middle[1], middle[2]], rotation: [1, 0, 0, 0] }, VIEW,
   );
@@ -535,7 +542,7 @@ test("outside of its cell an eye sees also what the cell does not, the more the 
 test("a part that is nearer to the eye than to the middle of its cell is worth more", async () => {
   const { said, file } = await open(VECTOR.package), index = await Index.open(said, file("index"));
   const [x, y, z] = index.spheres, { size } = said.cells, middle = [x, y, z - 3 * size];
-  const row = { gains: new Float32Array(index.count).fill(1), terms: null, middle };
+  const row = { gains: new Float32Array(index.count).fill(1), terms: null, middle, spheres: null };
   const at = (away: number): number => worthOf(
     index, row, size, { position: [x, y, middle[2] + away * size], rotation: [1, 0, 0, 0] }, VIEW,
   )[0];

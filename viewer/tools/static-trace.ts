@@ -1,5 +1,5 @@
 // Which Gaussians and terms the page's reader of static scenes has after how many bytes, on a link of a given rate and
-// round trip.
+// round trip. Blocks of sets of harmonics are steps without Gaussians, which name their first set.
 // node static-trace.mjs FOLDER RATE ROUND_TRIP BYTES < poses.json: for each pose and view one JSON line of arrivals; of
 // terms the slot of their owner, and the lower and the upper word of their record, behind each other.
 import { readFileSync } from "node:fs";
@@ -80,17 +80,21 @@ const [folder, rate, trip, most] = [
 for (const { pose, view } of JSON.parse(readFileSync(0, "utf8")) as { pose: Pose; view: View }[]) {
   const steps: {
     bytes: number; requests: number; seconds: number; kinds: Record<string, number>; ids: number[]; terms: number[];
-    gone: number[];
+    gone: number[]; sets: number[];
   }[] = [];
   let parts: LinkedParts | null = null, isComplete = false;
   const post = (report: Report): void => {
     if (report.kind === "state") isComplete = report.state.kind === "complete";
-    if (report.kind !== "batch") return;
+    if (report.kind !== "batch" && report.kind !== "sets") return;
+    const at = { bytes: parts!.bytes, requests: parts!.requests, seconds: parts!.now, kinds: { ...parts!.kinds } };
+    if (report.kind === "sets") {
+      steps.push({ ...at, ids: [], terms: [], gone: [], sets: [report.first] });
+      return;
+    }
     const { ids, owners, terms, gone } = report.batch;
     steps.push(
       {
-        bytes: parts!.bytes, requests: parts!.requests, seconds: parts!.now,
-        kinds: { ...parts!.kinds }, ids: [...ids], gone: [...gone],
+        ...at, ids: [...ids], gone: [...gone], sets: [],
         terms: [...owners].flatMap((slot, k) => [slot, terms[2 * k], terms[2 * k + 1]]),
       }
     );

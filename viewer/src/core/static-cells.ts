@@ -2,11 +2,14 @@
 import type { StaticScene } from "./static-scene.ts";
 import { Columns, damaged, inflate } from "./static-tables.ts";
 
-/** What a cell sees: for each part its gain, and what its terms are worth. */
+const STEPS = 32, OCTAVE = 4; // of the center of a sphere for each radius, and of its radius
+
+/** What a cell sees: for each part its gain, what its terms are worth, and where its light is. */
 export interface CellRow {
   gains: Float32Array; // (P)
   terms: Float32Array | null; // (P)
   middle: readonly number[] | null; // of the cell; null where one cell is everywhere
+  spheres: Float32Array | null; // (4 P) center, in radii from that of the part, and radius over its own
 }
 
 export class Cells {
@@ -68,20 +71,26 @@ export class Cells {
 export async function readRow(
   scene: StaticScene, coded: Uint8Array, middle: readonly number[] | null,
 ): Promise<CellRow> {
-  const bits = Math.ceil(scene.parts / 8), each = 1 + (scene.cells.active ? 1 : 0), seen: number[] = [];
-  const data = await inflate(coded, bits + each * scene.parts, "row");
-  for (let p = 0; p < scene.parts && p >> 3 < data.length; p++) if ((data[p >> 3] >> (p & 7)) & 1) seen.push(p);
+  const { parts, cells } = scene, bits = Math.ceil(parts / 8), seen: number[] = [];
+  const each = 1 + (cells.active ? 1 : 0) + (cells.spheres ? 4 : 0);
+  const data = await inflate(coded, bits + each * parts, "row");
+  for (let p = 0; p < parts && p >> 3 < data.length; p++) if ((data[p >> 3] >> (p & 7)) & 1) seen.push(p);
   if (data.length !== bits + each * seen.length) throw damaged("row");
-  const gains = new Float32Array(scene.parts), terms = scene.cells.active ? new Float32Array(scene.parts) : null;
+  const column = (k: number): Uint8Array => data.subarray(bits + k * seen.length, bits + (k + 1) * seen.length);
+  const gains = new Float32Array(parts), terms = cells.active ? new Float32Array(parts) : null;
+  const spheres = cells.spheres ? new Float32Array(4 * parts).map((_, k) => (k % 4 < 3 ? 0 : 1)) : null;
   seen.forEach((p, k) => {
-    gains[p] = 2 ** ((data[bits + k] - 255 + scene.cells.gainTop) / 4);
-    const octave = data[bits + seen.length + k];
+    gains[p] = 2 ** ((column(0)[k] - 255 + cells.gainTop) / 4);
+    const octave = column(1)[k];
     if (terms !== null && octave > 0) terms[p] = 2 ** (octave - 128);
+    if (spheres === null) return;
+    for (let axis = 0; axis < 3; axis++) spheres[4 * p + axis] = (column(each - 4 + axis)[k] - 128) / STEPS;
+    spheres[4 * p + 3] = 2 ** ((column(each - 1)[k] - 128) / OCTAVE);
   });
-  return { gains, terms, middle };
+  return { gains, terms, middle, spheres };
 }
 
 /** Return a row with all parts alike: what a cell is taken to see whose own row is lost. */
 export function everything(scene: StaticScene): CellRow {
-  return { gains: new Float32Array(scene.parts).fill(1), terms: null, middle: null };
+  return { gains: new Float32Array(scene.parts).fill(1), terms: null, middle: null, spheres: null };
 }

@@ -7,7 +7,8 @@ import type { Index } from "./static-index.ts";
 import type { SetBlocks } from "./static-sets.ts";
 import type { Pose, View } from "./types.ts";
 
-const PERIPHERAL = 0.003; // how what is out of view counts
+const PERIPHERAL = 0.0003; // how what is out of view counts
+const SEEN = 0.5; // how the light counts that pictures in the cell show, beside all light of a part
 const NEAR = 0.25; // sides of a cell that a part is away at least
 const TERMS = 0.003; // what terms are worth whose row does not say it, over the gain of their part
 const SETS = 10; // squared change of color that counts as much as light which is missing
@@ -59,23 +60,32 @@ export function worthOf(index: Index, row: CellRow, size: number, pose: Pose, vi
   const away = middle ? Math.hypot(...middle.map((v, k) => Math.max(Math.abs(v - position[k]) / size - 0.5, 0))) : 0;
   const share = away < 1e-6 ? 0 : (away / (1 + away)) ** 2;
   for (let p = 0; p < index.count; p++) {
-    const [x, y, z, radius] = index.spheres.subarray(4 * p, 4 * p + 4);
+    const [x, y, z, radius] = sphereOf(index, row, p);
     const squared = (eye: readonly number[]): number => 1e-12 +
       Math.max((x - eye[0]) ** 2 + (y - eye[1]) ** 2 + (z - eye[2]) ** 2 + radius ** 2 / 4, (NEAR * size) ** 2);
     const light = row.gains[p] + (middle ? share * radius ** 2 / squared(middle) : 0);
     const near = (middle ? squared(middle) : 1) / squared(position);
-    worth[p] = light * near * (PERIPHERAL + (1 - PERIPHERAL) * insideOf(planes, x, y, z, radius));
+    const seen = insideOf(planes, x, y, z, radius), all = row.spheres ? insideOf(planes, ...sphereOf(index, null, p)) : seen;
+    worth[p] = light * near * (PERIPHERAL + (1 - PERIPHERAL) * (SEEN * seen + (1 - SEEN) * all));
   }
   return worth;
 }
 
-/** Return the share of a sphere that is in view, about: half of it where its center is on a border. */
-function insideOf(planes: Float64Array, x: number, y: number, z: number, radius: number): number {
+/** Return the sphere in which the light of a part is, center and radius: of what a cell sees, or of all of it. */
+export function sphereOf({ spheres }: Index, row: CellRow | null, part: number): [number, number, number, number] {
+  const [x, y, z, radius] = spheres.subarray(4 * part, 4 * part + 4);
+  const [right, down, ahead, wider] = row?.spheres?.subarray(4 * part, 4 * part + 4) ?? [0, 0, 0, 1];
+  return [x + right * radius, y + down * radius, z + ahead * radius, radius * wider];
+}
+
+/** Return the share of the light of a sphere that is in view, about: a normal distribution cut by the nearest border. */
+export function insideOf(planes: Float64Array, x: number, y: number, z: number, radius: number): number {
   let depth = Infinity; // how far the center is inside of all borders
   for (let p = 0; p < 20; p += 4) {
     depth = Math.min(depth, planes[p] * x + planes[p + 1] * y + planes[p + 2] * z + planes[p + 3]);
   }
-  return Math.min(Math.max(0.5 + depth / (2 * radius || 1), 0), 1);
+  const deviations = Math.sqrt(3) * depth / (radius || 1);
+  return 1 / (1 + Math.exp(-deviations * (1.5976 + 0.07056 * deviations ** 2)));
 }
 
 /**

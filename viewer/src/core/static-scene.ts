@@ -4,7 +4,7 @@ import { type Fields, integer, list, number, object, refuse, triple } from "./js
 import { blocksOf, type SetBlocks } from "./static-sets.ts";
 import type { HarmonicTables, Header, Pose } from "./types.ts";
 
-const VERSION = 6;
+const VERSION = 7;
 const MOST = 1 << 28;
 const FARTHEST = 1e30;
 const WHERE = "scene.json";
@@ -23,6 +23,7 @@ interface CellInfo {
   size: number; // 0: one cell that sees everything
   gainTop: number;
   active: boolean;
+  spheres: boolean; // whether rows say where the light of parts is
 }
 
 export interface StaticScene {
@@ -87,6 +88,7 @@ function parseCells(said: Fields, where: string): CellInfo {
     count: integer(said, "count", 0, 1e6, where), origin: triple(said.origin, `${where}, origin`),
     size: number(said.size, 0, FARTHEST, `${where}, size`),
     gainTop: number(said.gain_top, -FARTHEST, FARTHEST, `${where}, gain_top`), active: said.active === true,
+    spheres: said.spheres === true,
   };
 }
 
