@@ -72,7 +72,7 @@ VERSIONS = {
     "levels": 8,
     "sets": 4,
     "joined": 3,
-    "colors": 2,
+    "colors": 3,
     "epsilon": 1,
     "cost": 2,
     "fidelity": 3,

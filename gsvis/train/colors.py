@@ -22,6 +22,7 @@ from gsvis.color.srbf import MAX_DECAY, SrbfColors, spherical_coordinates, unit_
 from gsvis.progress import Progress, silent
 from gsvis.render.rasterizer import rasterize
 from gsvis.render.tensors import GaussianTensors
+from gsvis.render.weights import view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.images import PosedImages
@@ -116,18 +117,16 @@ def learn_colors(
     if config.steps == 0 or len(colors) == 0:
         return colors
     ids = np.arange(len(g)) if shown is None else np.flatnonzero(shown)
-    part = colors[ids]
-    start = SrbfTensors.from_colors(part, requires_grad=True)
+    start = SrbfTensors.from_colors(colors[ids], requires_grad=True)
     growth = torch.zeros_like(start.decays, requires_grad=True)  # logarithms, so that no growth changes no bit
-    scene = GaussianTensors.from_gaussians(g[ids])
-
-    def now() -> SrbfTensors:
-        """Return the colors of this step."""
-        return replace(start, decays=(start.decays.detach() * growth.exp()).clamp(max=MAX_DECAY))
+    scene = Gaussians(g.means[ids], g.quats[ids], g.scales[ids], g.opacities[ids], g.sh0[ids], facts=g.facts)
 
     def draw(camera: Cameras) -> Tensor:
-        """Return the image of one camera."""
-        return rasterize(scene, camera, colors=now(), antialiased=g.facts.antialiased).images[0]
+        """Return the image of one camera; what it does not blend is neither drawn nor evaluated."""
+        some = _blended(scene, camera)
+        tensors = GaussianTensors.from_gaussians(scene[some])
+        part = _select(start, growth, some)
+        return rasterize(tensors, camera, colors=part, antialiased=g.facts.antialiased).images[0]
 
     rates = {
         start.base: config.base_rate,
@@ -136,7 +135,37 @@ def learn_colors(
         growth: config.decay_rate,
     }
     _descend(rates, draw, views, config, progress)
-    return _put_back(colors, ids, now())
+    return _put_back(colors, ids, replace(start, decays=_grow(start.decays, growth)))
+
+
+def _grow(decays: Tensor, growth: Tensor) -> Tensor:
+    """Return decays (T,) times the exponential of their growth (T,)."""
+    return (decays.detach() * growth.exp()).clamp(max=MAX_DECAY)
+
+
+def _blended(g: Gaussians, camera: Cameras) -> NDArray[np.int64]:
+    """Return the Gaussians that a camera's image blends, ascending; the first if there is none."""
+    found = np.flatnonzero(view_weights(g, camera).largest[0])
+    return found if len(found) else np.zeros(1, np.int64)
+
+
+def _select(colors: SrbfTensors, growth: Tensor, ids: NDArray[np.int64]) -> SrbfTensors:
+    """Return the grown colors of some Gaussians (M,), with gradients by `colors` and `growth`."""
+    some = torch.from_numpy(ids)
+    counts = colors.offsets.diff()[some]
+    offsets = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
+    moves = torch.repeat_interleave(colors.offsets[some] - offsets[:-1], counts)
+    terms = moves + torch.arange(len(moves))
+    return SrbfTensors(
+        colors.variant,
+        base=colors.base.index_select(0, some),
+        scales=colors.scales[some],
+        offsets=offsets,
+        functions=colors.functions[terms],
+        centers=colors.centers.index_select(0, terms),
+        decays=_grow(colors.decays[terms], growth.index_select(0, terms)),
+        intensities=colors.intensities.index_select(0, terms),
+    )
 
 
 def _put_back(colors: SrbfColors, ids: NDArray[np.int64], learned: SrbfTensors) -> SrbfColors:

@@ -99,6 +99,22 @@ def test_the_same_run_gives_the_same_colors(scene: Gaussians, colors: SrbfColors
         assert np.array_equal(getattr(one, name), getattr(two, name))
 
 
+def test_leaving_out_what_is_not_blended_changes_nothing(
+    scene: Gaussians, colors: SrbfColors, views: PosedImages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    some = learn_colors(scene, colors, views, replace(FEW, steps=5))
+    monkeypatch.setattr("gsvis.train.colors._blended", lambda g, camera: np.arange(len(g)))
+    every = learn_colors(scene, colors, views, replace(FEW, steps=5))
+    for name in ("base", "centers", "decays", "intensities"):
+        assert np.allclose(getattr(some, name), getattr(every, name), rtol=1e-4, atol=1e-5)
+
+
+def test_a_view_of_nothing_teaches_nothing(scene: Gaussians, colors: SrbfColors) -> None:
+    away = Cameras.look_at([[0.0, 0.0, 9.0]], [[0.0, 0.0, 20.0]], width=16, height=12)
+    learned = learn_colors(scene, colors, render_views(scene, away), replace(FEW, steps=2))
+    assert np.array_equal(learned.base, colors.base)
+
+
 def test_no_steps_change_nothing(scene: Gaussians, colors: SrbfColors, views: PosedImages) -> None:
     assert learn_colors(scene, colors, views, LearnConfig(steps=0)) is colors
     assert learn_sh(scene, views, LearnConfig(steps=0)) is scene
