@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsvis._kernels.compiled import njit
+from gsvis._kernels.compiled import uncounted
 
 
-@njit(cache=True)
+@uncounted
 def face_of(x, y, z, centers, planes):
     """Return the face in [0, 80) that contains the direction (x, y, z), of any length > 0."""
     best = 0

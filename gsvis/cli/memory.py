@@ -142,7 +142,7 @@ def check_preparation(
     Raises:
         ValueError: If a stage does not fit.
     """
-    from gsvis.prepare.memory import kept_memory
+    from gsvis.prepare.memory import kept_memory, lesson_memory, level_images
     from gsvis.pvs.memory import sets_memory
 
     if max_memory is None or is_levels(scene):
@@ -155,9 +155,10 @@ def check_preparation(
     union = count + sum(total - own for total, own, _ in lower)
     need = sets_memory(counts, union, degree, config.sets) + kept_memory(union, degree)
     if config.levels is not None:
-        training = expected_memory("levels", count, degree, training_grows(config.levels.shares)) + images
-        need = max(need, training)
-    _check_fits(max(need, expected_memory("color", union, degree)), max_memory, (count, degree), IN_TILES)
+        training = expected_memory("levels", count, degree, training_grows(config.levels.shares))
+        need = max(need, training + (images or level_images(config)))
+    colors = expected_memory("color", union, degree) + lesson_memory(config, degree, images)
+    _check_fits(max(need, colors), max_memory, (count, degree), IN_TILES)
 
 
 def check_simulation(

@@ -111,7 +111,7 @@ def importance_from_views(g: Gaussians | Levels, cameras: Cameras, *, progress: 
     faces = np.zeros((len(union_of(g)), NUM_FACES), np.float32)
     if len(faces) == 0:
         return ViewImportance(faces)
-    levels = as_levels(g)
+    levels = _without_harmonics(as_levels(g))
     pixels = len(cameras) * cameras.width * cameras.height
     looks = len(cameras) * len(levels)
     progress("importance", 0, looks)
@@ -128,3 +128,8 @@ def importance_from_views(g: Gaussians | Levels, cameras: Cameras, *, progress: 
             progress("importance", k * len(cameras) + c + 1, looks)
     faces /= (levels.last - levels.first + np.uint8(1))[:, None]
     return ViewImportance(faces)
+
+
+def _without_harmonics(levels: Levels) -> Levels:
+    """Return the same levels without SH above degree 0, so that the scene of a level holds little."""
+    return Levels(levels.union.without_harmonics(), levels.first, levels.last, levels.names)

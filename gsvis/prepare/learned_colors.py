@@ -43,6 +43,7 @@ F64 = NDArray[np.float64]
 RENDERS = ViewSampling(256, 320, 240, stream=3)
 """Views to learn from without photographs; streams 0 to 2 are those of the fit, of held-out views and of epsilon."""
 
+_EVERY = 8  # of the renders, one is held out
 _STEPS = 300  # unless somebody asks for another number
 _GAINED = 0.05  # dB in the mean below which learning is said to have gained nothing
 
@@ -178,7 +179,15 @@ def draw_lesson(
     from gsvis.train.colors import LearnConfig
 
     cameras = replace(RENDERS, seed=seed).cameras(g, space)
-    views, held_out = render_views(g, cameras, progress=progress).split()
+    last = np.arange(len(cameras)) % _EVERY == 0
+
+    def report(stage: str, done: int, total: int) -> None:
+        """Report the held-out views after the others."""
+        if done:
+            progress(stage, int((~last).sum()) + done, len(cameras))
+
+    views = render_views(g, cameras[~last], progress=lambda stage, done, _: progress(stage, done, len(cameras)))
+    held_out = render_views(g, cameras[last], progress=report)
     return Lesson(views, held_out, "renders", LearnConfig.for_renders(steps, seed))
 
 
@@ -214,11 +223,13 @@ def learn_lesson(
         return learned, about
     whole = np.ones(len(g), bool) if shown is None else shown
     drawn: dict[str, SrbfColors | None] = {} if lesson.named == "renders" else {"sh": None}
-    drawn["fitted"] = to_records(colors)[whole]
-    drawn["learned"] = to_records(learned)[whole]
+    drawn |= {"fitted": colors, "learned": learned}
     progress("measure", 0, len(drawn))
     for done, (name, each) in enumerate(drawn.items(), 1):
-        about.psnr[name] = _psnr_of(g[whole], each, held_out)
+        if each is None:
+            about.psnr[name] = _psnr_of(g[whole], None, held_out)
+        else:
+            about.psnr[name] = _psnr_of(g.without_harmonics()[whole], to_records(each)[whole], held_out)
         progress("measure", done, len(drawn))
     if lesson.named == "renders" and about.gain < 0.0:
         return colors, about

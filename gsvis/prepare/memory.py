@@ -6,16 +6,22 @@ from dataclasses import replace
 
 from gsvis.jobs.cost import COARSER, memory_error
 from gsvis.jobs.workers import Workers
+from gsvis.prepare.config import PrepareConfig
+from gsvis.prepare.learned_colors import RENDERS, steps_of_learning
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.memory import expected_memory
 from gsvis.scene.levels import Levels
+from gsvis.scene.view_sampling import ViewSampling
+from gsvis.train.level_views import views_to_train
 
-__all__ = ["kept_memory", "left_for_sets"]
+__all__ = ["kept_memory", "left_for_sets", "lesson_memory", "level_images"]
 
 # Measured on flowers LOD 2, nika LOD 1, showroom LOD 3 and biker and rounded up (docs/design/070).
 _BASE = 256 << 20
 _GAUSSIAN = 200
 _HARMONIC = 14
+_TORCH = 250 << 20  # bytes of torch with what it has compiled
+_PIXEL = 12  # bytes of a pixel of an image to train on
 
 
 def kept_memory(gaussians: int, sh_degree: int) -> int:
@@ -26,6 +32,29 @@ def kept_memory(gaussians: int, sh_degree: int) -> int:
         sh_degree: Of the scene.
     """
     return _BASE + gaussians * (_GAUSSIAN + _HARMONIC * 3 * ((sh_degree + 1) ** 2 - 1))
+
+
+def level_images(config: PrepareConfig) -> int:
+    """Return the bytes of the renders that levels are trained and measured on, if there are no photos."""
+    held_out = replace(config.level_views, count=config.level_held_out)
+    return _image_bytes(views_to_train(config.level_views)) + _image_bytes(held_out)
+
+
+def lesson_memory(config: PrepareConfig, sh_degree: int, images: int) -> int:
+    """Return the bytes that learning colors needs beside what their fit needs; 0 if none are learned.
+
+    Args:
+        config: The options.
+        sh_degree: Of the scene.
+        images: Bytes of photos to learn from; 0 if there are none.
+    """
+    steps = steps_of_learning(config.color_steps, photos=images > 0, renders=sh_degree > 0)
+    return _TORCH + (images or _image_bytes(RENDERS)) if steps else 0
+
+
+def _image_bytes(sampling: ViewSampling) -> int:
+    """Return the bytes of the images of views."""
+    return _PIXEL * sampling.count * sampling.width * sampling.height
 
 
 def left_for_sets(workers: Workers | None, levels: Levels, gaussians: int, config: PvsConfig) -> Workers | None:

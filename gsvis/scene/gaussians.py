@@ -106,6 +106,14 @@ class Gaussians:
         object.__setattr__(same, "facts", facts)
         return same
 
+    def without_harmonics(self) -> Gaussians:
+        """Return the same Gaussians, not copied, without SH above degree 0: for work that needs no colors."""
+        same = self.with_facts(self.facts)
+        none = np.zeros((len(self), 0, 3), np.float32)
+        none.flags.writeable = False
+        object.__setattr__(same, "shN", none)
+        return same
+
     def with_origin(self, origin: ArrayLike) -> Gaussians:
         """Return the same scene with centers relative to a new origin, moved in double precision.
 

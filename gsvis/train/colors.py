@@ -119,7 +119,7 @@ def learn_colors(
     ids = np.arange(len(g)) if shown is None else np.flatnonzero(shown)
     start = SrbfTensors.from_colors(colors[ids], requires_grad=True)
     growth = torch.zeros_like(start.decays, requires_grad=True)  # logarithms, so that no growth changes no bit
-    scene = Gaussians(g.means[ids], g.quats[ids], g.scales[ids], g.opacities[ids], g.sh0[ids], facts=g.facts)
+    scene = g.without_harmonics()[ids]
 
     def draw(camera: Cameras) -> Tensor:
         """Return the image of one camera; what it does not blend is neither drawn nor evaluated."""

@@ -69,6 +69,14 @@ def test_read_only_and_float64_input_is_taken() -> None:
     assert all(getattr(scene, name).dtype == np.float32 for name in FIELDS)
 
 
+def test_without_harmonics_shares_all_other_arrays() -> None:
+    g = Gaussians(**arrays(20, degree=2))
+    bare = g.without_harmonics()
+    assert (bare.sh_degree, g.sh_degree) == (0, 2)
+    assert all(np.shares_memory(getattr(bare, name), getattr(g, name)) for name in ("means", "quats", "sh0"))
+    assert bare[:3].shN.shape == (3, 0, 3)
+
+
 def test_quaternions_of_any_length_are_normalized() -> None:
     given_ = arrays()
     reference = Gaussians(**given_)
