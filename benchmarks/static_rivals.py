@@ -45,7 +45,7 @@ from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
 
-LONGEST = 14.0  # seconds of a visit
+LONGEST = 20.0  # seconds of a visit
 NOTHING = "window.arrived = [];"
 PAGE = """<!doctype html><meta charset="utf-8">
 <style>html, body, canvas { margin: 0; width: 100%; height: 100% }</style>

@@ -17,6 +17,7 @@ Defaults chosen on: nothing.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import tempfile
 from collections.abc import Iterable
@@ -120,23 +121,20 @@ def main() -> None:
             ("eyes in cells", drawn_views(package, evaluator, args.eyes, args.seed)),
         ]
         with slow_host(Path(site.path)) as host:
-            for name in args.browsers:
+            for name, delay, rate in itertools.product(args.browsers, args.delays, args.rates):
+                # a browser for each link: Firefox stops answering after some visits
                 with visits(name) as browser:
-                    # warms the machine up, not the cache
-                    browser(host.url, _WATCH, 3.0, lambda: host.begin(0.0, 1e9))
-                    for delay in args.delays:
-                        for rate in args.rates:
-                            for place, views in places:
-                                found = []
-                                for view in views * args.visits:
-                                    eye = Eye(contents, evaluator, camera_of(view["pose"], SIZE, WIDE))
-                                    at = "" if place == "first view" else address(view["pose"])
-                                    link = delay, 125e3 * rate
-                                    row = visit(browser, host, eye, at, ids, contents, link)
-                                    found.append(row)
-                                    rows.append({"browser": name, "delay": delay, "rate": rate, "place": place, **row})
-                                    print(rows[-1], flush=True)
-                                figures += summarize(name, delay, rate, place, found)
+                    browser(host.url, _WATCH, 3.0, lambda: host.begin(0.0, 1e9))  # warms the machine up, not the cache
+                    for place, views in places:
+                        found = []
+                        for view in views * args.visits:
+                            eye = Eye(contents, evaluator, camera_of(view["pose"], SIZE, WIDE))
+                            at = "" if place == "first view" else address(view["pose"])
+                            row = visit(browser, host, eye, at, ids, contents, (delay, 125e3 * rate))
+                            found.append(row)
+                            rows.append({"browser": name, "delay": delay, "rate": rate, "place": place, **row})
+                            print(rows[-1], flush=True)
+                        figures += summarize(name, delay, rate, place, found)
     write_result(args.out, __doc__.splitlines()[0], figures, {"package": repr(package), "visits": rows})
 
 
