@@ -218,8 +218,10 @@ class Fit:
     mean_terms: Annotated[float | None, readers.MEAN_TERMS, hint("3")] = None
     """Terms a Gaussian on average; they go where they lower errors most. all: all that help (slow)."""
     width_price: Annotated[float | None, readers.WIDTH_PRICE, hint("3")] = None
-    """What a term costs more if it is active for all eyes, over what it costs by itself: terms are narrower, and an eye
-    needs fewer of them. 0: width costs nothing (the paper's way)."""
+    """What a term costs more at most if it is active for all eyes, over what it costs by itself: terms are narrower,
+    and an eye needs fewer of them. 0: width costs nothing (the paper's way)."""
+    width_loss: Annotated[float | None, readers.WIDTH_LOSS, hint("0.02")] = None
+    """dB that the price for width may cost the fit; the price falls until it does not cost more."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -63,12 +63,10 @@ class SplitFit:
     split: Split
     lobes: tuple[LobeFit, ...]
 
-    def costs(self, importance: F64, width_price: float) -> list[tuple[F64, F64]]:
-        """Return, for each function, (n, K + 1) importance times error and number of prices, with 0, 1, ... lobes."""
-        terms = np.arange(self.lobes[0].curves.shape[1])
+    def curves(self, importance: F64) -> list[tuple[F64, F64]]:
+        """Return, for each function, (n, K + 1) importance times error and sum of widths, with 0, 1, ... lobes."""
         return [
-            (importance[:, None] * lobe.curves.astype(np.float64), terms + width_price * lobe.wide.astype(np.float64))
-            for lobe in self.lobes
+            (importance[:, None] * lobe.curves.astype(np.float64), lobe.wide.astype(np.float64)) for lobe in self.lobes
         ]
 
 

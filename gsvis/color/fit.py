@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.color._assemble import Terms, assemble
+from gsvis.color._prices import Curves, Prices, find_prices
 from gsvis.color._pursuit import Pursuit, SplitFit
 from gsvis.color.srbf import MAX_DECAY, SrbfColors
 from gsvis.color.variants import DEFAULT_VARIANT, VARIANTS, variant
@@ -59,8 +60,11 @@ class FitConfig:
         ridge: Added to the squared norm of each lobe, relative to the weights: keeps intensities small.
         emphasis: Initial weight of the error after fewer terms in a fit of more: makes terms useful one by one. It
             rises for a Gaussian whose error would otherwise rise along its terms.
-        width_price: What a term costs more if it is active along all directions of its Gaussian, over what it costs
-            by itself; in between in proportion. Lobes are then narrower, and wide ones fewer. 0 asks nothing for width.
+        width_price: What a term costs more at most if it is active along all directions of its Gaussian, over what it
+            costs by itself; in between in proportion. Lobes are then narrower, and wide ones fewer. 0 asks nothing for
+            width.
+        width_loss: dB by which the price for width may raise the error of the fit, >= 0; the price falls until it does
+            not cost more. Infinity keeps the price. Needs `mean_terms`.
         epsilon: Change of a channel from which a term is active, for `width_price`, > 0.
         steps: Maximum number of refinement steps after each choice.
         tolerance: Relative gain of a step below which refinement stops.
@@ -77,6 +81,7 @@ class FitConfig:
     ridge: float = 1e-5
     emphasis: float = 0.01
     width_price: float = 3.0
+    width_loss: float = 0.02
     epsilon: float = 0.02
     steps: int = 8
     tolerance: float = 0.01
@@ -98,6 +103,8 @@ class FitConfig:
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise ValueError(f"{name}: expected a finite number >= 0, got {value!r}")
+        if not self.width_loss >= 0:
+            raise ValueError(f"width_loss: expected dB >= 0, got {self.width_loss!r}")
 
     @property
     def atom_decays(self) -> tuple[float, ...]:
@@ -117,6 +124,8 @@ class SrbfFit:
             visible directions.
         errors: (N,) float32, the same with all terms.
         price: Least decrease of error times importance that each term had to achieve.
+        width_price: What a term cost more that is active along all directions, over `price`; at most that of the
+            config.
         unseen: Number of Gaussians without a direction: they get the mean over all directions and no terms.
     """
 
@@ -124,6 +133,7 @@ class SrbfFit:
     base_errors: F32
     errors: F32
     price: float
+    width_price: float
     unseen: int
 
 
@@ -186,10 +196,8 @@ def fit_srbf(
     weigh = _weigher(directions, n)
     counts = np.ones(n) if importance is None else _check.floats("importance", importance, (n,), np.float64)
     _check.in_range("importance", counts, 0.0, np.inf)
-    pursuit = Pursuit(config)
-    price = 0.0
-    if config.mean_terms is not None and config.max_terms > 0 and n > 0:
-        price = _price(pursuit, g, weigh, counts, _CAUTION * config.mean_terms, progress)
+    prices = _sampled_prices(config, g, weigh, counts, progress)
+    pursuit = Pursuit(replace(config, width_price=prices.width))
     terms: list[Terms] = []
     unseen = 0
     progress("fit", 0, n)
@@ -197,15 +205,18 @@ def fit_srbf(
         part = slice(start, min(start + _CHUNK, n))
         weights = weigh(np.arange(part.start, part.stop))
         unseen += int((weights.max(axis=1) <= 0.0).sum())
-        fitted = _fit(pursuit, g[part], weights, counts[part], price)
+        fitted = _fit(pursuit, g[part], weights, counts[part], prices.term)
         terms.append(assemble(config, fitted, pursuit.directions))
         progress("fit", part.stop, n)
-    return _join(config, terms, price, unseen)
+    return _join(config, terms, prices, unseen)
 
 
 def fitted_for_price(count: int, config: FitConfig) -> int:
-    """Return how many of `count` Gaussians `fit_srbf` fits once more, to find the price of a term."""
-    return min(count, _SAMPLE) if config.mean_terms is not None and config.max_terms > 0 else 0
+    """Return how many fits of a Gaussian `fit_srbf` makes beside those of `count`, to find the prices, about."""
+    if config.mean_terms is None or config.max_terms == 0:
+        return 0
+    rounds = 3 if config.width_price > 0.0 and config.width_loss > 0.0 else 1
+    return rounds * min(count, _SAMPLE)
 
 
 def sample_colors(g: Gaussians) -> F32:
@@ -235,63 +246,32 @@ def _fit(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, price: flo
     return pursuit.fit(sample_colors(g), weights, np.where(nowhere, 0.0, importance), price, nowhere)
 
 
-def _price(
-    pursuit: Pursuit, g: Gaussians, weigh: WeighFaces, importance: F64, mean_terms: float, progress: Progress
-) -> float:
-    """Return the price of a term at which Gaussians have `mean_terms` on average.
+def _sampled_prices(config: FitConfig, g: Gaussians, weigh: WeighFaces, importance: F64, progress: Progress) -> Prices:
+    """Return the prices at which Gaussians have the wanted number of terms on average.
 
-    Uses the error curves of a sample: every k-th Gaussian by importance, because few Gaussians hold most of it. A first
-    price is found with few terms per Gaussian. More terms can only raise the price, so longer curves are fitted only
-    for Gaussians that can pay the first price. Where width has a price, lobes depend on it, so they are fitted again.
+    Uses the error curves of a sample: every k-th Gaussian by importance, because few Gaussians hold most of it.
     """
+    if config.mean_terms is None or config.max_terms == 0 or len(g) == 0:
+        return Prices(0.0, config.width_price)
     order = np.argsort(importance, kind="stable")
     ids = np.sort(order[np.linspace(0, len(g) - 1, min(len(g), _SAMPLE)).astype(np.int64)])
-    few = max(4, int(np.ceil(2 * mean_terms)))
-    stages = [few, pursuit.config.max_terms] if few < pursuit.config.max_terms else [pursuit.config.max_terms]
-    if pursuit.config.width_price > 0.0 and pursuit.config.refine:
-        stages.append(pursuit.config.max_terms)
-    price = 0.0
-    done = 0
-    total = len(ids) * len(stages)
-    progress("price", 0, total)
-    for most in stages:
-        limited = Pursuit(replace(pursuit.config, max_terms=most))
-        costs: list[tuple[F64, F64]] = []
+
+    def fit_sample(limited: FitConfig, price: float) -> Curves:
+        """Return the curves of the sample at a price of a term."""
+        pursuit = Pursuit(limited)
+        curves: Curves = []
+        progress("price", 0, len(ids))
         for start in range(0, len(ids), _CHUNK):
             chosen = ids[start : start + _CHUNK]
-            fitted = _fit(limited, g[chosen], weigh(chosen), importance[chosen], price)
-            costs.extend(fitted.costs(importance[chosen], pursuit.config.width_price))
-            done += len(chosen)
-            progress("price", done, total)
-        price = _least_price(costs, mean_terms, len(ids))
-    return price
+            fitted = _fit(pursuit, g[chosen], weigh(chosen), importance[chosen], price)
+            curves.extend(fitted.curves(importance[chosen]))
+            progress("price", start + len(chosen), len(ids))
+        return curves
+
+    return find_prices(fit_sample, config, _CAUTION * config.mean_terms, len(ids))
 
 
-def _least_price(costs: list[tuple[F64, F64]], mean_terms: float, count: int) -> float:
-    """Return the least price at which `count` Gaussians have at most `mean_terms` on average, by bisection.
-
-    Args:
-        costs: For each part of the Gaussians and each function, (n, K + 1) importance times error, and number of
-            prices, with 0, 1, ... terms.
-        mean_terms: Number of terms, on average.
-        count: Number of Gaussians.
-    """
-
-    def mean(price: float) -> float:
-        """Return the mean number of terms at a price."""
-        return sum([float((cost + price * prices).argmin(axis=1).sum()) for cost, prices in costs]) / count
-
-    high = max(float(cost[:, 0].max()) for cost, _ in costs)
-    low = high * 1e-15
-    if high <= 0.0 or mean(low) <= mean_terms:
-        return low
-    for _ in range(60):
-        middle = float(np.sqrt(low * high))
-        low, high = (middle, high) if mean(middle) > mean_terms else (low, middle)
-    return high
-
-
-def _join(config: FitConfig, parts: list[Terms], price: float, unseen: int) -> SrbfFit:
+def _join(config: FitConfig, parts: list[Terms], prices: Prices, unseen: int) -> SrbfFit:
     """Return the fits of all slices as one."""
     kind = VARIANTS[config.variant]
     empty = Terms.empty(kind)
@@ -312,4 +292,4 @@ def _join(config: FitConfig, parts: list[Terms], price: float, unseen: int) -> S
         join("decays"),
         join("intensities"),
     )
-    return SrbfFit(colors, join("base_errors"), join("errors"), price, unseen)
+    return SrbfFit(colors, join("base_errors"), join("errors"), prices.term, prices.width, unseen)

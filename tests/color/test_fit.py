@@ -249,12 +249,27 @@ def active_shares(fit: SrbfFit, faces: np.ndarray) -> np.ndarray:
 def test_a_price_for_width_narrows_terms_and_costs_little() -> None:
     g, faces = scene(300, spread=0.08), caps(300)
     free, priced = (
-        fit_srbf(g, faces, FitConfig(max_terms=8, mean_terms=2.0, width_price=price)) for price in (0.0, 3.0)
+        fit_srbf(g, faces, FitConfig(max_terms=8, mean_terms=2.0, width_price=price, width_loss=np.inf))
+        for price in (0.0, 3.0)
     )
+    assert priced.width_price == 3.0
     shares = [active_shares(fit, faces) for fit in (free, priced)]
     assert shares[1].mean() < 0.9 * shares[0].mean()
-    assert priced.colors.num_terms <= 2.0 * len(g)
+    assert priced.colors.num_terms <= 2.02 * len(g)
     assert priced.errors.mean() < 1.3 * free.errors.mean()
+
+
+def test_the_price_for_width_costs_no_more_than_its_loss() -> None:
+    """With a loss of 0 colors are those without a price; with a little they are narrower, and errors grow by it."""
+    g, faces = scene(300, spread=0.08), caps(300)
+    free, none, little = (
+        fit_srbf(g, faces, FitConfig(max_terms=8, mean_terms=2.0, width_price=price, width_loss=loss))
+        for price, loss in ((0.0, 0.1), (9.0, 0.0), (9.0, 0.1))
+    )
+    np.testing.assert_array_equal(none.colors.intensities, free.colors.intensities)
+    assert none.width_price == 0.0 < little.width_price < 9.0
+    assert active_shares(little, faces).mean() < active_shares(free, faces).mean()
+    assert little.errors.mean() < 1.03 * free.errors.mean()
 
 
 def test_widths_in_the_kernel_are_those_of_the_terms() -> None:
@@ -316,6 +331,7 @@ def test_bad_arguments_are_named() -> None:
         ({"decays": ()}, "decays: expected at least one"),
         ({"ridge": float("nan")}, "ridge: expected"),
         ({"width_price": -1.0}, "width_price: expected"),
+        ({"width_loss": float("nan")}, "width_loss: expected"),
         ({"epsilon": 0.0}, "epsilon: expected"),
     ):
         with pytest.raises(ValueError, match=match):
