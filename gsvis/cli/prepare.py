@@ -319,7 +319,10 @@ def _joined_rows(tried: tuple[JoinedCells, ...]) -> list[tuple[str, str]]:
     kept = tried[-1]
     cells = f"{kept.cells:,}" + (f", joined from {built.cells:,}" if kept.factor > 1 else "")
     walk = f"{size_of(round(kept.saved))} on a walk, which needs {kept.walk:,.0f} of {kept.ever:,} Gaussians"
-    return [("  cells", cells), ("  sets save", f"{walk}; they take {size_of(kept.nbytes)}")]
+    taken = f"they take {size_of(kept.nbytes)}"
+    if not kept.pays and kept.factor == 1:
+        taken += "; --join-cells makes them smaller, and images come later"
+    return [("  cells", cells), ("  sets save", f"{walk}; {taken}")]
 
 
 def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]], remarks: list[str]) -> dict[str, Any]:
@@ -379,6 +382,8 @@ def _print_estimate(
         ("package", f"about {size_of(estimate.nbytes)}"),
         ("kept beside it", f"about {size_of(estimate.work_bytes)}"),
     ]
+    saved = f"at most about {size_of(estimate.saved_bytes)} on a walk"
+    rows.append(("sets save", f"{saved}; they take about {size_of(estimate.sets_bytes)}"))
     rows.append(("memory", f"at most about {size_of(estimate.memory)}, all processes together"))
     show(
         facts(f"{source.name}: what it would cost", rows),

@@ -27,7 +27,7 @@ from gsvis.prepare.trial import StageTrial
 from gsvis.progress import Progress, silent
 from gsvis.pvs.coded_size import DIRECTIONS_BYTES, bytes_of_directions
 from gsvis.pvs.estimate import estimate_pvs
-from gsvis.pvs.joined import MOST_SHARE, RECORD_BYTES
+from gsvis.pvs.joined import MOST_SHARE, RECORD_BYTES, measure_sets
 from gsvis.pvs.memory import expected_memory
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
@@ -77,6 +77,9 @@ class PreparationEstimate:
         levels: Names and sizes of levels, lowest first.
         cells: Cells of the visible sets.
         nbytes: Bytes of the package.
+        sets_bytes: Bytes of the visible sets in it.
+        saved_bytes: Bytes of Gaussians that they save on a walk; if they are not built yet, for a viewer in one cell,
+            which is more.
         memory: Peak bytes of memory of all processes while visible sets are built; if they exist, with one process that
             would build them. Training large levels may need more.
         seconds: Time left.
@@ -88,6 +91,8 @@ class PreparationEstimate:
     levels: tuple[tuple[str, int], ...]
     cells: int
     nbytes: int
+    sets_bytes: int
+    saved_bytes: int
     memory: int
     seconds: float
     load: float | None
@@ -133,6 +138,7 @@ class _Estimator:
         top = self.levels.counts[-1]
         self.union = len(self.levels.union) if self.known is not None else top + _own(stages)
         self.found: list[StageEstimate] = []
+        self.saved = 0.0  # bytes that the sets save
 
     def all(self) -> PreparationEstimate:
         """Return the estimate of all stages."""
@@ -159,6 +165,8 @@ class _Estimator:
             tuple(zip(self.levels.names, self.counts, strict=True)),
             len(self.stages.grid()),
             nbytes,
+            int(shipped),
+            int(self.saved),
             memory,
             sum(stage.seconds for stage in self.found),
             self.load,
@@ -192,6 +200,7 @@ class _Estimator:
             path = stages.work.at(name)
             store = VisibilityStore.open(path)
             size = path.stat().st_size
+            self.saved = measure_sets(store).saved
             self.found.append(StageEstimate("sets", "done", what, 0.0, size))
             return store, size, kept + expected_memory(self.levels, self.config.sets, 1)
         cost = estimate_pvs(
@@ -203,7 +212,9 @@ class _Estimator:
             workers=left_for_sets(self.workers, self.levels, self.union, self.config.sets),
             progress=stages.progress,
         )
-        disk = int(cost.disk * self.union / len(self.levels.union))
+        scale = self.union / len(self.levels.union)
+        disk = int(cost.disk * scale)
+        self.saved = RECORD_BYTES * scale * (cost.ever - cost.visible)
         state = "begun" if cost.finished or cost.looked else "to do"
         if cost.finished:
             what += f", {cost.finished:,} of them found"

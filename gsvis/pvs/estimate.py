@@ -61,6 +61,7 @@ class Estimate:
         of_cells: Part of it in which the sets of cells are found, after all viewpoints.
         memory: Peak bytes of memory, all processes together.
         visible: Gaussians that a cell sees, mean.
+        ever: Gaussians that the tried cells see together.
         disk: Bytes of the finished store.
         working_disk: Bytes of temporary files during the build.
         load: Processes that used or waited for a core when the estimate began; None if unknown. Times on a busy machine
@@ -76,6 +77,7 @@ class Estimate:
     of_cells: float
     memory: int
     visible: float
+    ever: int
     disk: int
     working_disk: int
     load: float | None
@@ -139,6 +141,7 @@ def estimate_pvs(
         of_cells=of_cells,
         memory=expected_memory(levels, config, count if processes else 1),
         visible=tried.visible / tried.cells,
+        ever=int(np.count_nonzero(tried.seen)),
         disk=int(BESIDE * tried.coded / tried.cells * cells + DIRECTIONS_BYTES * len(levels.union)),
         working_disk=int(tried.held / tried.looks * viewpoints + tried.kept / tried.cells * cells)
         + (SCENE_BYTES * len(levels.union) if processes else 0),
@@ -157,6 +160,7 @@ class _Tried:
     kept: int = 0
     visible: int = 0
     coded: int = 0
+    seen: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  # (N,), by any of them
     threads: float = 1.0  # speed-up of a look by all threads
 
     @property
@@ -176,7 +180,7 @@ def _try_cells(work: Work, least: int, progress: Progress) -> _Tried:
     finder = work.scene.finder()
     finder.warm()  # loads the kernels and makes the tracers before the timing starts
     shared = work.shared
-    tried = _Tried(threads=_gain_of_threads(finder, work.shared.points[0]))
+    tried = _Tried(threads=_gain_of_threads(finder, work.shared.points[0]), seen=np.zeros(len(work.levels.union), bool))
     start = _clock()
     while tried.cells < len(some):
         began = _clock()
@@ -195,6 +199,7 @@ def _try_cells(work: Work, least: int, progress: Progress) -> _Tried:
         tried.held += sum(len(pack_sighting(each)) for each in sightings)
         tried.kept += len(pack_view(view))
         tried.visible += len(view.ids)
+        tried.seen[view.ids] = True
         tried.coded += bytes_of_cell(view.ids, view.classes, len(work.levels.union), len(work.config.class_edges))
         progress("trying", tried.cells, len(some))
     progress("trying", len(some), len(some))

@@ -35,6 +35,7 @@ __all__ = [
     "JoinedCells",
     "join_cells",
     "join_until_small",
+    "measure_sets",
     "share_classes",
     "walks_through",
 ]
@@ -86,6 +87,11 @@ class JoinedCells:
         """Bytes that a walk saves over sending what any cell sees."""
         return RECORD_BYTES * (self.ever - self.walk)
 
+    @property
+    def pays(self) -> bool:
+        """Whether the sets save at least the bytes on a walk that they take."""
+        return self.saved >= self.nbytes
+
 
 def join_until_small(
     store: VisibilityStore, target: str | PathLike[str], *, may_join: bool = True, progress: Progress = silent
@@ -106,9 +112,9 @@ def join_until_small(
     """
     path = _check.path("target", target)
     walks = walks_through(store.grid)
-    ever = len(store.ever_visible())
+    tried = [measure_sets(store)]
+    ever = tried[0].ever
     most = MOST_SHARE * RECORD_BYTES * store.gaussians
-    tried = [JoinedCells(1, len(store), _bytes_of(store), _walk(store, walks, tuple(range(len(store)))), ever)]
     progress("join", 0, 1)
     with temporary_folder() as folder:
         written = store.path
@@ -129,6 +135,12 @@ def join_until_small(
         share_directions(written, path, DIRECTIONS_RUN)
     progress("join", 1, 1)
     return tuple(tried)
+
+
+def measure_sets(store: VisibilityStore) -> JoinedCells:
+    """Return what the sets of a store cost and save as they are."""
+    walk = _walk(store, walks_through(store.grid), tuple(range(len(store))))
+    return JoinedCells(1, len(store), _bytes_of(store), walk, len(store.ever_visible()))
 
 
 def join_cells(store: VisibilityStore, target: str | PathLike[str], factor: int) -> tuple[int, ...]:

@@ -296,6 +296,7 @@ def test_an_estimate_says_what_is_there_and_writes_nothing(
     assert done.seconds == done.stages[-1].seconds
     held = sum(p.stat().st_size for p in again.rglob("*") if p.is_file())
     assert 0.3 * held < done.nbytes < 3 * held
+    assert done.sets_bytes > 0 <= done.saved_bytes
     other = estimate_preparation(rooms.gaussians, again, rooms.navigable, replace(CONFIG, epsilon=0.3))
     assert [s.name for s in other.stages if s.state == "to do"] == ["fidelity", "package"]
     fresh = estimate_preparation(rooms.gaussians, tmp_path / "new.gsvis", rooms.navigable, CONFIG)

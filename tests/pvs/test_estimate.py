@@ -33,6 +33,7 @@ def test_an_estimate_is_near_and_writes_nothing(job: Job, tmp_path: Path, monkey
     assert estimate.seconds == pytest.approx(work / 1.8 + 6.3, abs=0.2)  # two processes share it, and have to start
     assert estimate.memory > 1 << 28
     assert 0.3 < estimate.disk / len(job.wanted) < 5.0
+    assert estimate.visible <= estimate.ever <= len(job.scene)
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(KeyboardInterrupt):
         job.run(path, progress=Stop(3, "viewpoints"))

@@ -1,5 +1,6 @@
 """Laws of joined cells and shared direction sets."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from gsvis.pvs.joined import (
     JoinedCells,
     join_cells,
     join_until_small,
+    measure_sets,
     share_classes,
     walks_through,
 )
@@ -122,7 +124,18 @@ def test_the_same_store_gives_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_a_walk_saves_what_it_does_not_need() -> None:
-    assert JoinedCells(1, 8, 100, walk=40.0, ever=100).saved == RECORD_BYTES * 60
+    small = JoinedCells(1, 8, RECORD_BYTES * 60, walk=40.0, ever=100)
+    assert small.saved == RECORD_BYTES * 60
+    assert small.pays
+    assert not replace(small, nbytes=small.nbytes + 1).pays
+
+
+def test_sets_are_measured_as_a_package_has_them(tmp_path: Path) -> None:
+    with noise_store(tmp_path / "fine.pvs") as fine:
+        found = measure_sets(fine)
+        assert found == join_until_small(fine, tmp_path / "small.pvs")[0]
+        walks = [np.unique(np.concatenate([fine.visible_ids(c) for c in walk])) for walk in walks_through(fine.grid)]
+    assert found.walk == np.mean([len(walk) for walk in walks])
 
 
 def test_walks_go_from_neighbor_to_neighbor() -> None:
