@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from gsvis.color.fit import FitConfig
 
-__all__ = ["Curves", "Prices", "find_prices"]
+__all__ = ["MOST_FITS", "Curves", "Prices", "find_prices"]
 
 F64 = NDArray[np.float64]
 
@@ -25,6 +25,8 @@ with 0, 1, ... K terms."""
 
 _TRIALS = 4
 """Prices of width that are tried at most; each takes a fit of the sample."""
+MOST_FITS = 2 + _TRIALS
+"""Fits of the sample at most."""
 _GROWTH = 1.7
 """The error grows with about this power of the price of width (1.6 to 1.9 on four scenes), until two are tried."""
 _CLOSE = 1.1

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.color._assemble import Terms, assemble
-from gsvis.color._prices import Curves, Prices, find_prices
+from gsvis.color._prices import MOST_FITS, Curves, Prices, find_prices
 from gsvis.color._pursuit import Pursuit, SplitFit
 from gsvis.color.srbf import MAX_DECAY, SrbfColors
 from gsvis.color.variants import DEFAULT_VARIANT, VARIANTS, variant
@@ -256,19 +256,26 @@ def _sampled_prices(config: FitConfig, g: Gaussians, weigh: WeighFaces, importan
     order = np.argsort(importance, kind="stable")
     ids = np.sort(order[np.linspace(0, len(g) - 1, min(len(g), _SAMPLE)).astype(np.int64)])
 
+    done = 0
+    total = MOST_FITS * len(ids)
+    progress("price", 0, total)
+
     def fit_sample(limited: FitConfig, price: float) -> Curves:
         """Return the curves of the sample at a price of a term."""
+        nonlocal done
         pursuit = Pursuit(limited)
         curves: Curves = []
-        progress("price", 0, len(ids))
         for start in range(0, len(ids), _CHUNK):
             chosen = ids[start : start + _CHUNK]
             fitted = _fit(pursuit, g[chosen], weigh(chosen), importance[chosen], price)
             curves.extend(fitted.curves(importance[chosen]))
-            progress("price", start + len(chosen), len(ids))
+            done += len(chosen)
+            progress("price", done, total)
         return curves
 
-    return find_prices(fit_sample, config, _CAUTION * config.mean_terms, len(ids))
+    found = find_prices(fit_sample, config, _CAUTION * config.mean_terms, len(ids))
+    progress("price", total, total)
+    return found
 
 
 def _join(config: FitConfig, parts: list[Terms], prices: Prices, unseen: int) -> SrbfFit:
