@@ -208,6 +208,7 @@ PAGES = {
             "walls",
             "first_views",
             "static_site",
+            "static_site_nika",
             "static_order",
             "bare_site",
             "bare_order",

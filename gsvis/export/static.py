@@ -104,6 +104,8 @@ class StaticOptions:
         poses: Start views, the first one initially; None takes those of the package, or finds some.
         space: Where eyes may be in a bare scene, so that visitors can walk; None leaves walking to chance.
         most_walk: Most bytes of what is known of walking; larger ones are left out.
+        most_first: Bytes that the file of a first view may have, even where all of them then have more bytes than the
+            parts: of a small scene a view needs most.
         most_sets: Most sets of higher SH coefficients that the Gaussians of a bare scene share; None gives each its
             own, which is exact to the byte, takes no time, and many times the bytes.
 
@@ -117,6 +119,7 @@ class StaticOptions:
     poses: tuple[Start, ...] | None = None
     space: NavigableSpace | None = None
     most_walk: int = 1 << 26
+    most_first: int = 1 << 19
     most_sets: int | None = 1 << 16
 
     def __post_init__(self) -> None:
@@ -322,10 +325,10 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
         floor = floor_of_cells(lights.grid, meters)
         files["facts"] = _facts(lights.grid, floor)
         files |= _walk(g[ids], lights.grid, meters, options.most_walk)
-        most = int(_FIRST * sum(map(len, pieces["part"])) / max(len(known.poses), 1))
+        share = int(_FIRST * sum(map(len, pieces["part"])) / max(len(known.poses), 1))
         first = FirstViews(lights, g, worth, coder, placing)
         known = replace(known, first=tuple(_standing(pose, floor) for pose in known.poses))
-        pieces["first"] = [first.encode(pose, most) for pose in known.first]
+        pieces["first"] = [first.encode(pose, max(share, options.most_first)) for pose in known.first]
     return _Content(coder, parts, cells, files, pieces, spheres, known)
 
 

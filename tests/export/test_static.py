@@ -391,6 +391,22 @@ def test_a_first_view_begins_with_what_its_picture_shows_most(package: Package, 
     assert np.median(weights[first]) >= weights[rest].max()
 
 
+def test_first_views_of_a_small_scene_are_cut_only_where_their_bytes_count(
+    package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gsvis.export.first._PIECE", (40, 40))
+    g = package.contents.gaussians()
+    eye = package.visibility.grid.centers[3]
+    start = Start.looking(eye, g.means.mean(axis=0), (0.0, -1.0, 0.0))
+    poses = (start,) * 8
+    write_static(tmp_path / "cut", package, StaticOptions(poses=poses, most_first=0))
+    write_static(tmp_path / "whole", package, StaticOptions(poses=poses))
+    cut, whole = Reader(tmp_path / "cut").data, Reader(tmp_path / "whole").data
+    assert len(whole["first"][0]) > 1.5 * len(cut["first"][0])
+    assert len(cut["first"][0]) < sum(map(len, cut["part"]))
+    assert whole["part"] == cut["part"]
+
+
 def test_parts_are_boxes_in_space_with_the_brightest_gaussians_first() -> None:
     rng = np.random.default_rng(2)
     means, gains = rng.uniform(0, 1, (4000, 3)) * [8, 2, 1], rng.uniform(size=4000)
