@@ -121,11 +121,11 @@ def judged(g: Gaussians, cameras: dict[str, Cameras], targets: dict[str, NDArray
 
 def _psnr_of(g: Gaussians, cameras: Cameras, target: NDArray[np.float32]) -> NDArray[np.float64]:
     """Return (C,) dB of views, at most 100."""
-    found: NDArray[np.float64] = np.minimum(np.asarray(psnr(_draw(g, cameras), target), np.float64), 100.0)
+    found: NDArray[np.float64] = np.minimum(np.asarray(psnr(draw(g, cameras), target), np.float64), 100.0)
     return found
 
 
-def _draw(g: Gaussians, cameras: Cameras) -> NDArray[np.float32]:
+def draw(g: Gaussians, cameras: Cameras) -> NDArray[np.float32]:
     """Return (C, H, W, 3) images, clipped."""
     return rasterize(g, cameras).images.clip(0.0, 1.0)
 
@@ -136,7 +136,7 @@ def compare(name: str, arguments: argparse.Namespace) -> list[dict[str, Any]]:
     g = load_source(file if file.startswith("builtin:") else str(realdata() / "scenes" / file), lod).gaussians
     space = NavigableSpace.from_scene(g, up=up) if up else NavigableSpace.from_scene(g)
     cameras = judging_cameras(g, space)
-    target = {name: _draw(g, each) for name, each in cameras.items()}
+    target = {name: draw(g, each) for name, each in cameras.items()}
     begun = time.process_time()
     views = draw_views(g, space, ViewSampling(arguments.views, 480, 360, FOV), 0)
     config = LevelsConfig(preview=0.0, iterations=arguments.steps, looks=arguments.looks)

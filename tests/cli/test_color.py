@@ -276,7 +276,7 @@ def test_a_run_that_is_stopped_leaves_no_file_and_is_resumed(tmp_path: Path) -> 
     out = tmp_path / "rooms.arrow"
     save_scene(two_rooms(12_000, sh_degree=1).gaussians, tmp_path / "rooms.ply")
     words = [str(tmp_path / "rooms.ply"), "-o", str(out), "--held-out", "0", "--views", "2", "--mean-terms", "0.5"]
-    words += ["--width", "32", "--height", "24", "--max-terms", "2"]
+    words += ["--width", "32", "--height", "24", "--max-terms", "2", "--color-steps", "0"]
     stopped = Halted("directions", 8193, "color", *words)  # more than one block of 8,192
     stopped.wait()
     code, said, text = stopped.end(signal.SIGINT)
