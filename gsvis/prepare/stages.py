@@ -69,7 +69,7 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 __all__ = ["VERSIONS", "StageColors", "StageRecord", "Stages", "around_of"]
 
 VERSIONS = {
-    "levels": 8,
+    "levels": 9,
     "sets": 4,
     "joined": 3,
     "colors": 3,

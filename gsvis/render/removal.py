@@ -117,11 +117,7 @@ def removal_effects(
             residual,
             pairs,
         )
-        if len(pairs):
-            met = np.flatnonzero(np.diff(projected.first_pair))  # reduceat needs non-empty ranges
-            ids = projected.ids[projected.order[met]]
-            starts = projected.first_pair[met]
-            sums[ids] += np.add.reduceat(pairs[:, :3], starts, axis=0, dtype=np.float64)
+        _kernels_removal.add_pairs(pairs, projected.first_pair, projected.order, projected.ids, sums)
         progress("removal", c + 1, len(cameras))
     sums /= 3.0
     absolute, squared, error_change = (np.ascontiguousarray(column) for column in sums.T)

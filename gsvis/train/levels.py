@@ -283,6 +283,8 @@ def train_levels(
             if choose_by is not None:  # photographs differ from the scene by more than a merge does
                 begin = fit_opacities(begin, scene[stays], views)
         training = config.training(total, scene.sh_degree)
+        if begun == total:  # no room for clones
+            training = replace(training, densify=None)
         if frozen and config.merged and choose_by is not None:  # it resembles its images already
             training = _slowed(training, Gaussians.concatenate([scene[stays], begin]), views)
         trainer = Trainer(views, begin, training, frozen=scene[stays], held_out=held_out, space=space)

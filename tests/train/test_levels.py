@@ -297,7 +297,7 @@ def test_work_of_another_run_is_refused(scene: Gaussians, views: PosedImages, tm
             ValueError, match=r"work: expected .* of the same input and settings, got work of a run with different ones"
         ):
             train_levels(*other, work=tmp_path)
-    for change in ({"iterations": 7}, {"seed": 1}, {"threshold": 0.5}):
+    for change in ({"iterations": 7}, {"seed": 1}, {"merged": 0.5}):
         with pytest.raises(
             ValueError, match=r"checkpoint: expected .* got the checkpoint of a run with different ones"
         ):

@@ -16,14 +16,14 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from gsvis._kernels.compiled import kernel, njit
+from gsvis._kernels.compiled import kernel, uncounted
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.simd import Builder, Vector
 from gsvis._kernels.threads import in_threads
 from gsvis.render._kernels.lanes import LANES, RECORD, STOP, T, _each_row, _load, _Record, _store
 from gsvis.render._kernels.tiles import _BATCH, _allocate, _open_tile, _prepare
 
-__all__ = ["remove_tiles"]
+__all__ = ["add_pairs", "remove_tiles"]
 
 TILE = LANES
 SPENT = 1e-6
@@ -147,7 +147,21 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
     return signature, generate
 
 
-@njit(cache=True)
+@uncounted
+def _dim_some(state, records, count, todo, lit, start):
+    """Let `count` prepared Gaussians take their light, front to back; the first has the place `start`."""
+    for j in range(count):
+        _dim(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
+
+
+@uncounted
+def _remove_some(state, records, count, todo, start, out, pair_of, first):
+    """Pass `count` prepared Gaussians, back to front; the list starts at `first`, and they at its place `start`."""
+    for j in range(count - 1, -1, -1):
+        _remove(state, records, j, todo[j], np.float32(start + j), out, np.int64(pair_of[first + start + j]))
+
+
+@uncounted
 def _turn(state, gates, residual, background, left, top, rows, columns):
     """Prepare the state at the back of a tile for the pass to the front."""
     gates[:rows] = -1.0
@@ -186,8 +200,7 @@ def remove_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, ba
                 break
             reached = min(start + _BATCH, total)
             _prepare(splats, features, members, first, start, reached - start, left, top, gates, records, todo)
-            for j in range(reached - start):
-                _dim(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
+            _dim_some(state, records, reached - start, todo, lit, start)
         _turn(state, gates, residual, background, left, top, rows, columns)
         for k in range(first + reached, first + total):
             for e in range(4):
@@ -195,6 +208,22 @@ def remove_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, ba
         for start in range((reached - 1) // _BATCH * _BATCH, -1, -_BATCH):
             count = min(_BATCH, reached - start)
             _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
-            for j in range(count - 1, -1, -1):
-                _remove(state, records, j, todo[j], np.float32(start + j), out, np.int64(pair_of[first + start + j]))
+            _remove_some(state, records, count, todo, start, out, pair_of, first)
         tile = take_next(taken)
+
+
+@kernel
+def add_pairs(pairs, first_pair, order, ids, sums):
+    """Add the first three entries of the pairs (P, 4) of each splat to the row of its Gaussian in sums (N, 3)."""
+    for k in range(len(order)):
+        absolute = 0.0
+        squared = 0.0
+        change = 0.0
+        for pair in range(first_pair[k], first_pair[k + 1]):
+            absolute += pairs[pair, 0]
+            squared += pairs[pair, 1]
+            change += pairs[pair, 2]
+        row = ids[order[k]]
+        sums[row, 0] += absolute
+        sums[row, 1] += squared
+        sums[row, 2] += change
