@@ -136,7 +136,15 @@ PAGES = {
     ),
     "levels": Page(
         "Training and levels",
-        ("train_photos", "train_resume", "levels_showroom", "levels_unseen", "levels_bonsai", "importance"),
+        (
+            "train_photos",
+            "train_resume",
+            "levels_showroom",
+            "levels_unseen",
+            "levels_bonsai",
+            "levels_bonsai_photos",
+            "importance",
+        ),
     ),
     "paper": Page("What each departure from the paper is worth", ("paper_pieces", "paper_pieces_nika")),
     "arena": Page("Systems that are trained on the same photographs", ("arena",)),
