@@ -217,6 +217,7 @@ PAGES = {
             "first_views",
             "static_site",
             "static_site_nika",
+            "static_site_bonsai",
             "static_order",
             "bare_site",
             "bare_order",
