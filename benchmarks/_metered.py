@@ -34,13 +34,14 @@ class Meter:
         self._name = START
         self._begin()
 
-    def enter(self, name: str) -> None:
-        """Record the stage so far and begin another one, unless it is the same."""
+    def enter(self, name: str) -> bool:
+        """Record the stage so far and begin another one, unless it is the same; return whether it is another."""
         if name == self._name:
-            return
+            return False
         self.end()
         self._name = name
         self._begin()
+        return True
 
     def end(self) -> None:
         """Record the stage so far."""
@@ -78,8 +79,9 @@ def run(record: Path, words: list[str]) -> int:
     show = Status.__call__
 
     def called(status: Status, stage: str, done: int, total: int) -> None:
-        """Note the stage before it is shown."""
-        meter.enter(stage)
+        """Note the stage before it is shown; the record so far outlives a run that is stopped."""
+        if meter.enter(stage):
+            record.write_text(json.dumps(meter.stages))
         show(status, stage, done, total)
 
     setattr(Status, "__call__", called)  # noqa: B010

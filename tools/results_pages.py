@@ -95,6 +95,8 @@ PAGES = {
             "occlusion",
             "pvs_memory",
             "set_repairs",
+            "large_units",
+            "real_prepare",
             "pvs_quality",
             "pvs_images",
             "pvs_images_two_rooms",

@@ -157,7 +157,7 @@ def check_preparation(
     if config.levels is not None:
         training = expected_memory("levels", count, degree, training_grows(config.levels.shares))
         need = max(need, training + (images or level_images(config)))
-    colors = expected_memory("color", union, degree) + lesson_memory(config, degree, images)
+    colors = expected_memory("color", union, degree) + lesson_memory(config, union, degree, images)
     _check_fits(max(need, colors), max_memory, (count, degree), IN_TILES)
 
 

@@ -21,6 +21,7 @@ _BASE = 256 << 20
 _GAUSSIAN = 200
 _HARMONIC = 14
 _TORCH = 250 << 20  # bytes of torch with what it has compiled
+_LEARNED = 300  # bytes of a Gaussian while colors are learned, beside those of the fit
 _PIXEL = 12  # bytes of a pixel of an image to train on
 
 
@@ -40,16 +41,17 @@ def level_images(config: PrepareConfig) -> int:
     return _image_bytes(views_to_train(config.level_views)) + _image_bytes(held_out)
 
 
-def lesson_memory(config: PrepareConfig, sh_degree: int, images: int) -> int:
+def lesson_memory(config: PrepareConfig, gaussians: int, sh_degree: int, images: int) -> int:
     """Return the bytes that learning colors needs beside what their fit needs; 0 if none are learned.
 
     Args:
         config: The options.
+        gaussians: Gaussians of all levels together.
         sh_degree: Of the scene.
         images: Bytes of photos to learn from; 0 if there are none.
     """
     steps = steps_of_learning(config.color_steps, photos=images > 0, renders=sh_degree > 0)
-    return _TORCH + (images or _image_bytes(RENDERS)) if steps else 0
+    return _TORCH + _LEARNED * gaussians + (images or _image_bytes(RENDERS)) if steps else 0
 
 
 def _image_bytes(sampling: ViewSampling) -> int:
