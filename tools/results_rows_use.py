@@ -213,7 +213,6 @@ USE = (
                 ours="first view {0:.1f}, {1:.1f} s; eyes in cells {2:.1f}, {3:.1f} s; one visit an eye, busy",
                 peer="form 3: 29 s, more than 70 s",
                 target="≤ 1.5, 3 s",
-                verdict="reached",
             ),
             Row(
                 "Does a visitor who walks by the keys for 500 minutes pass a wall: two rooms, flat, showroom?",
