@@ -23,6 +23,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.in_sight import InSight
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.importance import ROUNDS, most_important, read_rounds
+from gsvis.train.stand_ins import StandIns
 
 __all__ = ["LOOKS", "choose_subsets", "count_looks", "stay_chances"]
 
@@ -113,7 +114,8 @@ def choose_subsets(
     done, last, sums = read_rounds(work, sizes, n)
     ranks = np.where(last >= 0, last, len(rounds))
     kept = np.flatnonzero(last < 0)
-    state = _State(gaussians, cameras, sight, kept, sums, _seen(len(gaussians), cameras, sight))
+    stand_ins = None if any(each.cuts for each in rounds[:done]) else StandIns(gaussians, space)
+    state = _State(gaussians, cameras, sight, kept, sums, stand_ins)
     total = sum(len(each.cameras) for each in rounds)
     before = sum(len(each.cameras) for each in rounds[:done])
     progress("prune", before, total)
@@ -166,31 +168,56 @@ class _State:
         sight: Gaussians that each camera may see; None for all.
         kept: (K,) remaining Gaussians.
         sums: (K,) sums of squared changes, older ones with less weight.
+        stand_ins: Merged Gaussians that stand in for those that may go, until the first cut; None after it.
+
+    Attributes:
         seen: (N,) share of the cameras with each Gaussian in sight, in rooms; 1 elsewhere.
     """
 
     def __init__(
-        self, g: Gaussians, cameras: Cameras, sight: InSight | None, kept: NDArray[np.int64], sums: F64, seen: F64
+        self,
+        g: Gaussians,
+        cameras: Cameras,
+        sight: InSight | None,
+        kept: NDArray[np.int64],
+        sums: F64,
+        stand_ins: StandIns | None,
     ) -> None:
         self.scene = g
         self.cameras = cameras
         self.sight = sight
         self.kept = kept
         self.sums = sums
-        self.seen = seen
+        self.stand_ins = stand_ins
+        self.seen = _seen(len(g), cameras, sight)
         self._left = g if len(kept) == len(g) else g[kept]
 
     def look(self, batch: NDArray[np.int64], count: int) -> None:
         """Measure by some cameras, with each Gaussian present by its probability to be among `count`."""
         chances = stay_chances(self._worth(), count / len(self.kept))
+        there = None if self.stand_ins is None else self.stand_ins.presence(self.kept, chances)
         self.sums *= _OLD
         for index in batch:
             camera = self.cameras[[index]]
             if self.sight is None:
-                self.sums += removal_effects(self._left, camera, presence=chances).squared
+                self.sums += self._effects(camera, self._left, chances, there)
                 continue
             near = np.flatnonzero(self.sight.of(camera)[self.kept])
-            self.sums[near] += removal_effects(self._left[near], camera, presence=chances[near]).squared
+            self.sums[near] += self._effects(camera, self._left[near], chances[near], there)
+
+    def _effects(
+        self, camera: Cameras, some: Gaussians, chances: NDArray[np.float32], there: NDArray[np.float32] | None
+    ) -> F64:
+        """Return the squared changes (S,) of one image by removing each of some Gaussians.
+
+        `there` is the presence of all stand-ins.
+        """
+        if self.stand_ins is None or there is None:
+            return removal_effects(some, camera, presence=chances).squared
+        beside = self.stand_ins.seen_by(camera)
+        both = Gaussians.concatenate([some, self.stand_ins.gaussians[beside]])
+        presence = np.concatenate([chances, there[beside]])
+        return removal_effects(both, camera, presence=presence).squared[: len(some)]
 
     def _worth(self) -> F64:
         """Return the worth (K,) of each: between its mean loss over all cameras and over those that see it."""
@@ -202,6 +229,7 @@ class _State:
         gone = self.kept[~stays]
         self.kept, self.sums = self.kept[stays], _BEFORE * self.sums[stays]
         self._left = self.scene[self.kept]
+        self.stand_ins = None
         return gone
 
 

@@ -54,7 +54,7 @@ _PREVIEW_NAME = "preview"
 _SLOWEST = 0.45
 _FULL = 27.0  # dB, up to which they are full
 _LOOKED_AT = 16  # images
-_CHOICE = 2  # increase it if the same cameras would choose different Gaussians
+_CHOICE = 3  # increase it if the same cameras would choose different Gaussians
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.train._kernels.pairs import pair_up, price_neighbors
 from gsvis.train.merge import mean_shadows, merge_by_cell
 
-__all__ = ["merge_pairs"]
+__all__ = ["merge_pairs", "merge_pairs_grouped"]
 
 _NEAR = 16  # neighbors of a Gaussian that it may merge with
 _CANDIDATES = 4  # of these, the cheapest
@@ -41,12 +41,19 @@ def merge_pairs(g: Gaussians, count: int) -> Gaussians:
         Runnalls, "Kullback-Leibler approach to Gaussian mixture reduction", 2007, equation 21. The turns, and the
         groups of up to four, are those of `splat-transform --decimate`.
     """
+    return merge_pairs_grouped(g, count)[0]
+
+
+def merge_pairs_grouped(g: Gaussians, count: int) -> tuple[Gaussians, NDArray[np.int64]]:
+    """Return what `merge_pairs` returns, and which of them each of the N Gaussians became (N,)."""
     if not 1 <= count <= len(g):
         raise ValueError(f"count: expected 1 to {len(g)}, got {count}")
+    became = np.arange(len(g))
     while len(g) > count:
         groups = _group(g, len(g) - count)
         g = merge_by_cell(g, groups)
-    return g
+        became = groups[became]
+    return g, became
 
 
 def _group(g: Gaussians, most: int) -> NDArray[np.int64]:
