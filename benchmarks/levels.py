@@ -52,8 +52,6 @@ AHEAD = {"weight": 3.0, "octree": 0.0, "decimate": 0.0, "decimate-adaptive": 0.0
 """dB by which our level should be ahead."""
 WORST_AHEAD = "decimate"
 """Whose worst view ours should reach."""
-BEFORE = {"showroom": (25.165, 27.524, 30.167, 35.163), "bonsai": (26.173, 27.461, 28.680, 29.597)}
-"""PSNR in dB of our levels at each of `SHARES` as they were before they took minutes: 400 steps, narrow views."""
 FEWER, MORE = 0.01, 0.001  # of its size, by which a level of ours may miss it
 
 
@@ -226,8 +224,7 @@ def figures(made: Rivals, rows: list[dict[str, Any]], together: list[dict[str, A
         ours = by.get(("ours", share))
         for method in METHODS:
             if (row := by.get((method, share))) is not None:
-                target = BEFORE[name][SHARES.index(share)] if method == "ours" else None
-                add(f"{share:.1%} of the Gaussians, {SAID[method]}: PSNR", row["psnr"], "dB", target)
+                add(f"{share:.1%} of the Gaussians, {SAID[method]}: PSNR", row["psnr"], "dB")
         for method in METHODS:
             if (row := by.get((method, share))) is not None:
                 least = by.get((WORST_AHEAD, share)) if method == "ours" else None
