@@ -382,7 +382,7 @@ def _print_estimate(
         ("package", f"about {size_of(estimate.nbytes)}"),
         ("kept beside it", f"about {size_of(estimate.work_bytes)}"),
     ]
-    saved = f"at most about {size_of(estimate.saved_bytes)} on a walk"
+    saved = f"about {size_of(estimate.saved_bytes)} on a walk"
     rows.append(("sets save", f"{saved}; they take about {size_of(estimate.sets_bytes)}"))
     rows.append(("memory", f"at most about {size_of(estimate.memory)}, all processes together"))
     show(

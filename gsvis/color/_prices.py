@@ -5,6 +5,7 @@ Prices are in units of importance times error. They come from a sample of Gaussi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -50,7 +51,8 @@ def find_prices(fit: Callable[[FitConfig, float], Curves], config: FitConfig, me
 
     A first price is found with few terms a Gaussian. More terms can only raise it, so longer curves are fitted only for
     Gaussians that can pay the first price. Then the price of width falls from `config.width_price` until it raises the
-    error of the sample by `config.width_loss` at most. Lobes depend on the price of width, so each is fitted.
+    error of the sample by about `config.width_loss` at most; it is 0 if all that are tried raise it more. Lobes depend
+    on the price of width, so each is fitted.
 
     Args:
         fit: Function that fits the sample at a price of a term.
@@ -64,7 +66,7 @@ def find_prices(fit: Callable[[FitConfig, float], Curves], config: FitConfig, me
     for most in sorted({min(few, config.max_terms), config.max_terms}):
         curves = fit(replace(config, max_terms=most, width_price=0.0), free.term)
         free = Prices(_least_price(curves, 0.0, mean_terms, count), 0.0)
-    allowed = 10.0 ** (0.1 * config.width_loss) - 1.0
+    allowed = _growth_of(config.width_loss)
     width = config.width_price if allowed > 0.0 else 0.0
     least = _error(curves, free)
     tried: list[tuple[float, float]] = []
@@ -78,6 +80,11 @@ def find_prices(fit: Callable[[FitConfig, float], Curves], config: FitConfig, me
         tried.append((width, growth))
         width = _lower_width(tried, allowed)
     return free
+
+
+def _growth_of(loss: float) -> float:
+    """Return by which share of itself an error grows that becomes `loss` dB larger."""
+    return 10.0 ** (0.1 * loss) - 1.0 if loss < 1000.0 else math.inf
 
 
 def _lower_width(tried: list[tuple[float, float]], allowed: float) -> float:

@@ -63,8 +63,8 @@ class FitConfig:
         width_price: What a term costs more at most if it is active along all directions of its Gaussian, over what it
             costs by itself; in between in proportion. Lobes are then narrower, and wide ones fewer. 0 asks nothing for
             width.
-        width_loss: dB by which the price for width may raise the error of the fit, >= 0; the price falls until it does
-            not cost more. Infinity keeps the price. Needs `mean_terms`.
+        width_loss: dB by which the price for width may raise the error of the fit, about, >= 0; the price falls until
+            it does not cost more. 1000 or more keeps the price. Without `mean_terms` the price stays.
         epsilon: Change of a channel from which a term is active, for `width_price`, > 0.
         steps: Maximum number of refinement steps after each choice.
         tolerance: Relative gain of a step below which refinement stops.

@@ -97,4 +97,8 @@ class PrepareConfig:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the options as plain numbers, strings and lists for JSON, with the source of epsilon."""
-        return {**asdict(self), "epsilon_from": self.epsilon_from}
+        found = {**asdict(self), "epsilon_from": self.epsilon_from}
+        fit = found["colors"]["fit"]
+        if not np.isfinite(fit["width_loss"]):  # JSON has no infinity
+            fit["width_loss"] = None
+        return found

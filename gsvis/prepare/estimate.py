@@ -78,8 +78,8 @@ class PreparationEstimate:
         cells: Cells of the visible sets.
         nbytes: Bytes of the package.
         sets_bytes: Bytes of the visible sets in it.
-        saved_bytes: Bytes of Gaussians that they save on a walk; if they are not built yet, for a viewer in one cell,
-            which is more.
+        saved_bytes: Bytes of Gaussians that they save on a walk. If they are not built yet, for a viewer who stays in
+            one cell, against what the tried cells see together: a walk saves less, and more cells see more.
         memory: Peak bytes of memory of all processes while visible sets are built; if they exist, with one process that
             would build them. Training large levels may need more.
         seconds: Time left.

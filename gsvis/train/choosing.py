@@ -74,6 +74,7 @@ def choose_subsets(
 
     The worth of a Gaussian is the squared change of the images by its removal, as in `prune`. In rooms it is divided by
     the root of the share of cameras that have it in sight, so that small rooms count beside halls. Cameras take turns.
+    Until the first cut, merged Gaussians stand in for those that may go; see `StandIns`.
 
     Args:
         gaussians: N Gaussians.
@@ -114,7 +115,8 @@ def choose_subsets(
     done, last, sums = read_rounds(work, sizes, n)
     ranks = np.where(last >= 0, last, len(rounds))
     kept = np.flatnonzero(last < 0)
-    stand_ins = None if any(each.cuts for each in rounds[:done]) else StandIns(gaussians, space)
+    looks_left = any(each.count < n for each in rounds) and not any(each.cuts for each in rounds[:done])
+    stand_ins = StandIns(gaussians, space) if looks_left else None
     state = _State(gaussians, cameras, sight, kept, sums, stand_ins)
     total = sum(len(each.cameras) for each in rounds)
     before = sum(len(each.cameras) for each in rounds[:done])

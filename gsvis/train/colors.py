@@ -117,6 +117,8 @@ def learn_colors(
     if config.steps == 0 or len(colors) == 0:
         return colors
     ids = np.arange(len(g)) if shown is None else np.flatnonzero(shown)
+    if len(ids) == 0:
+        return colors
     start = SrbfTensors.from_colors(colors[ids], requires_grad=True)
     growth = torch.zeros_like(start.decays, requires_grad=True)  # logarithms, so that no growth changes no bit
     scene = g.without_harmonics()[ids]

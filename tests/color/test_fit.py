@@ -270,6 +270,9 @@ def test_the_price_for_width_costs_no_more_than_its_loss() -> None:
     assert none.width_price == 0.0 < little.width_price < 9.0
     assert active_shares(little, faces).mean() < active_shares(free, faces).mean()
     assert little.errors.mean() < 1.03 * free.errors.mean()
+    for loss in (5000.0, np.inf):
+        any_loss = FitConfig(max_terms=2, mean_terms=1.0, width_price=9.0, width_loss=loss)
+        assert fit_srbf(g[:20], faces[:20], any_loss).width_price == 9.0
 
 
 def test_widths_in_the_kernel_are_those_of_the_terms() -> None:

@@ -356,3 +356,9 @@ def test_two_runs_of_one_package_do_not_meet(rooms: OccluderScene, tmp_path: Pat
 
     with pytest.raises(KeyboardInterrupt):
         prepare(rooms, out, progress=meets)
+
+
+def test_options_are_json_whatever_width_may_cost() -> None:
+    free = replace(CONFIG, colors=ColorConfig(FitConfig(width_loss=np.inf), FEW)).as_dict()
+    assert json.loads(json.dumps(free, allow_nan=False))["colors"]["fit"]["width_loss"] is None
+    assert CONFIG.as_dict()["colors"]["fit"]["width_loss"] == CONFIG.colors.fit.width_loss

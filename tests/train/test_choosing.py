@@ -125,6 +125,8 @@ def test_in_rooms_what_few_cameras_see_counts_more() -> None:
 def test_choosing_refuses() -> None:
     g, cameras = scene("blobs", n=20), views(1)
     assert [m.sum() for m in choose_subsets(g, cameras, (20, 20))] == [20, 20]
+    assert choose_subsets(g[:0], cameras, ()) == []
+    assert [m.tolist() for m in choose_subsets(g[:1], cameras, (1,))] == [[True]]
     for counts in ((5, 10), (21,)):
         with pytest.raises(ValueError, match=r"^counts: expected falling sizes of at most 20, got"):
             choose_subsets(g, cameras, counts)

@@ -113,6 +113,8 @@ def test_a_view_of_nothing_teaches_nothing(scene: Gaussians, colors: SrbfColors)
     away = Cameras.look_at([[0.0, 0.0, 9.0]], [[0.0, 0.0, 20.0]], width=16, height=12)
     learned = learn_colors(scene, colors, render_views(scene, away), replace(FEW, steps=2))
     assert np.array_equal(learned.base, colors.base)
+    none = np.zeros(len(scene), bool)
+    assert learn_colors(scene, colors, render_views(scene, away), FEW, shown=none) is colors
 
 
 def test_no_steps_change_nothing(scene: Gaussians, colors: SrbfColors, views: PosedImages) -> None:
