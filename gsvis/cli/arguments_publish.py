@@ -110,7 +110,7 @@ class Tiling:
     levels: Annotated[tuple[float, ...], readers.SHARES_OR_NONE, hint("0.25 0.5")] = (0.25, 0.5)
     """Size of each lower level as a share of a tile's, lowest first; none for the tiles alone."""
     steps: Annotated[int, readers.STEPS] = 250
-    """Steps of training for each lower level, one view each."""
+    """Steps of training for each lower level, one view each; fewer also look less at what may go."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -192,7 +192,7 @@ class Levels:
     """What a lower level has besides them. merged: Gaussians that stand for those that go; clones: clones of what
     stays, at most 1% of the level at a time, the paper's way. (default: merged)"""
     steps: Annotated[int, readers.STEPS] = 400
-    """Steps of training for each lower level, one view each."""
+    """Steps of training for each lower level, one view each; fewer also look less at what may go."""
     views: Annotated[Count, hint("400")] = None
     """Number of views to train on, sampled where viewers may stand; not with --photos, which trains on 7 of 8."""
     width: Annotated[int | None, readers.PIXELS, hint("480; with --photos theirs")] = None

@@ -119,7 +119,8 @@ class StageTrial:
         else:
             many = views_to_choose(views)
             polled = self._cameras(replace(many, count=_POLLED))
-            looks, _ = count_looks(self._scene, polled, counts, of=many.count, space=self._space)
+            asked = levels.looks_to_choose
+            looks, _ = count_looks(self._scene, polled, counts, of=many.count, looks=asked, space=self._space)
             sight = InSight.from_scene(self._scene, self._space)
         presence = np.where(np.random.default_rng(0).random(len(self._scene)) < 0.5, 1.0, _FAINT)
 

@@ -145,6 +145,7 @@ def count_looks(
     counts: Sequence[int],
     *,
     of: int,
+    looks: float = LOOKS,
     space: NavigableSpace | None = None,
 ) -> tuple[int, float]:
     """Return the number of looks of `choose_subsets`, and the share of the Gaussians in sight of a look.
@@ -154,10 +155,11 @@ def count_looks(
         cameras: Some of the cameras; 16 are enough.
         counts: Requested sizes, descending.
         of: Number of all cameras.
+        looks: As in `choose_subsets`.
         space: Voxels that stop light; None looks at all Gaussians.
     """
     share = _share_in_sight(cameras, None if space is None else InSight.from_scene(gaussians, space))
-    rounds = _plan(len(gaussians), of, counts, _looks_for(share, LOOKS, of))
+    rounds = _plan(len(gaussians), of, counts, _looks_for(share, looks, of))
     return sum(len(each.cameras) for each in rounds), share
 
 

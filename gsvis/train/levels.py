@@ -12,6 +12,7 @@ References:
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -50,6 +51,8 @@ CHOICES = ("removal", "gradient")
 
 _FAINT = 0.05  # opacity of a clone of a Gaussian that stays
 _PREVIEW_NAME = "preview"
+_STEPS = 400  # of training, for which the default number of looks was chosen
+_FEWEST_LOOKS = 30
 # Learning rates of a level by how far it begins from its images: see `_slowed`.
 _SLOWEST = 0.45
 _FULL = 27.0  # dB, up to which they are full
@@ -76,7 +79,7 @@ class LevelsConfig:
         importance: How Gaussians that stay are chosen: one of `CHOICES`. "removal": by what their removal changes while
             most others go too. "gradient": by equation 6, at once for all levels; see `rank_by_error`.
         looks: Number of views of such a round, None for all. With separate cameras for choosing: the number of looks of
-            `choose_subsets`, None for its default.
+            `choose_subsets`, None for as many as suit the steps (`looks_to_choose`).
         evaluate_every: Steps between measurements on held-out views; 0 measures only at the end.
         seed: Seed of training.
         backend: Backend of the rasterizer.
@@ -88,7 +91,7 @@ class LevelsConfig:
     shares: tuple[float, ...] = (0.25, 0.5)
     reuse: tuple[float, ...] = (0.90, 0.96)
     names: tuple[str, ...] = ("low", "medium", "high")
-    iterations: int = 400
+    iterations: int = _STEPS
     merged: float = 1.0
     threshold: float = 4e-4
     most_share: float = 0.01
@@ -145,6 +148,13 @@ class LevelsConfig:
         """
         needs = count >= self.preview_from and self.shares[0] > PREVIEW
         return self if needs else replace(self, preview=0.0)
+
+    @property
+    def looks_to_choose(self) -> int:
+        """Looks of `choose_subsets`: as asked for, or its default for 400 steps and with the root of the steps."""
+        if self.looks is not None:
+            return self.looks
+        return max(round(LOOKS * math.sqrt(self.iterations / _STEPS)), _FEWEST_LOOKS)
 
     @property
     def level_names(self) -> tuple[str, ...]:
@@ -341,14 +351,15 @@ def _subsets(
             share = config.prune_share
             looks = config.looks
             return prune(scene, cameras, counts, share=share, looks=looks, work=kept, progress=progress)
-        each = LOOKS if config.looks is None else config.looks
-        return choose_subsets(scene, cameras, counts, looks=each, space=space, work=kept, progress=progress)
+        looks = config.looks_to_choose
+        return choose_subsets(scene, cameras, counts, looks=looks, space=space, work=kept, progress=progress)
 
     if work is None:
         return none | dict(zip(counts, choose(), strict=True))
     shape = cameras.width, cameras.height
     hides = None if space is None else sight_hash(space)
-    rules = [_CHOICE, scene_hash(scene), counts, config.prune_share, config.looks, shape, choose_by is not None, hides]
+    looks = config.looks if choose_by is None else config.looks_to_choose
+    rules = [_CHOICE, scene_hash(scene), counts, config.prune_share, looks, shape, choose_by is not None, hides]
     rules += [] if config.importance == "removal" else [config.importance]
     digest = hashlib.sha256()
     for array in (views.images, views.cameras.viewmats, views.cameras.Ks, cameras.viewmats, cameras.Ks):

@@ -15,6 +15,7 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
+from gsvis.train.choosing import LOOKS
 from gsvis.train.images import PosedImages, render_views
 from gsvis.train.importance import rank_by_error
 from gsvis.train.levels import LevelsConfig, TrainedLevels, _slowed, train_levels
@@ -420,3 +421,11 @@ def test_rates_fall_with_the_error_that_a_level_begins_with(scene: Gaussians, vi
     squared = np.mean([10.0 ** (-0.1 * mean_psnr(dimmed, views[k])) for k in range(len(views))])
     assert 0.45 < squared * 10.0**2.7 < 1.0
     assert factor(dimmed) == pytest.approx(squared * 10.0**2.7)
+
+
+def test_looks_grow_with_the_root_of_the_steps_unless_they_are_asked_for() -> None:
+    assert LevelsConfig().looks_to_choose == LOOKS
+    assert LevelsConfig(iterations=100).looks_to_choose == LOOKS // 2
+    assert LevelsConfig(iterations=1600).looks_to_choose == 2 * LOOKS
+    assert LevelsConfig(iterations=1).looks_to_choose == 30
+    assert LevelsConfig(iterations=1, looks=7).looks_to_choose == 7
