@@ -143,6 +143,7 @@ PAGES = {
             "train_resume",
             "levels_showroom",
             "levels_unseen",
+            "levels_time",
             "levels_bonsai",
             "levels_bonsai_photos",
             "importance",
