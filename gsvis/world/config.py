@@ -21,7 +21,8 @@ class WorldConfig:
     Attributes:
         tiling: How the world is cut into tiles.
         package: Options of the package of each tile; `cells` is for each tile. Levels have no preview, because
-            districts replace what is far.
+            districts replace what is far. Tiles keep the fit of their colors, in records of the usual precision, so it
+            may ask for nothing else.
         far: Most Gaussians of a district.
         angle: Largest spacing of a node over its distance from a tile, radians, at which it may be used around the
             tile.
@@ -35,7 +36,7 @@ class WorldConfig:
             for eyes around them; the other half judges the visible sets of tiles. None for none.
 
     Raises:
-        ValueError: If a value is out of range.
+        ValueError: If a value is out of range, or the package asks for what tiles do not take.
     """
 
     tiling: TilingConfig = field(default_factory=TilingConfig)
@@ -62,5 +63,9 @@ class WorldConfig:
             object.__setattr__(self, "walk", tuple((x, y, z) for x, y, z in walk.tolist()))
         if self.package.level_size is not None:
             raise ValueError("package: expected no level_size, got one; tiles have no photos")
+        if (precision := self.package.colors.precision) != "wire":
+            raise ValueError(f"package: expected colors of the precision 'wire' in tiles, got {precision!r}")
+        if self.package.color_steps:
+            raise ValueError(f"package: expected no color_steps, got {self.package.color_steps}; tiles keep the fit")
         if (levels := self.package.levels) is not None:
             object.__setattr__(self, "package", replace(self.package, levels=replace(levels, preview=0.0)))

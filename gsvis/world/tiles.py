@@ -224,7 +224,8 @@ def make_tile_levels(params: Facts, given: Given, out: Path, work: Path) -> Fact
 def config_of(value: dict[str, Any]) -> PrepareConfig:
     """Return the options of a tile from `PrepareConfig.as_dict`, as JSON keeps them.
 
-    All tiles have records of the usual precision, as those without eyes do, and learn no colors.
+    All tiles have records of the usual precision, as those without eyes do, and learn no colors: `WorldConfig` takes
+    nothing else.
     """
     colors = value["colors"]
     fit = dict(colors["fit"])

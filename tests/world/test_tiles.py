@@ -122,3 +122,12 @@ def test_the_space_around_an_object_takes_no_more_memory_than_is_counted(monkeyp
     assert space is not None
     assert space.kind.kind == "object"
     assert peak <= needed_memory("gsvis.world.tiles:tile_space", params, [{"gaussians": len(g)}])
+
+
+def test_options_that_tiles_do_not_take_are_refused() -> None:
+    package = cities.config().package
+    coarse = replace(package, colors=replace(package.colors, precision="coarse"))
+    with pytest.raises(ValueError, match="package: expected colors of the precision 'wire' in tiles, got 'coarse'"):
+        replace(cities.config(), package=coarse)
+    with pytest.raises(ValueError, match="package: expected no color_steps, got 7; tiles keep the fit"):
+        replace(cities.config(), package=replace(package, color_steps=7))
