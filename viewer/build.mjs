@@ -23,26 +23,12 @@ const shaders = {
   },
 };
 
-// Names of properties in the own classes of a script alone: no browser, JSON, other script or program sees them.
-const OWN = {
-  page: "actions answered antialiased appendMilliseconds available busy calm canStandAt cellsKnown changed choose chosen climb " +
-    "corners degrees detailed dispose doubleClick drag dropped east element enterXr fast firstImageSeconds flyTo flying focused fovY " +
-    "frameMilliseconds goHome goTo gpuBytes harmonicBytes inspecting isBusy known layout levelsShown listen " +
-    "joystick makeSource makeViewer marked maxPixelRatio meter mostIntensity mostScale moved navigator nearest nextMode " +
-    "nextPaint north offered onComplete onContent onFailure onOrder onRenumbered optionsShown " +
-    "pickCenter pixelRatio placeOf plays problem program recycle redraw refocus reframe refresh release reserve rested " +
-    "savePicture screenshot served setFov setMode setOrder settled shown shows sortMilliseconds sortWorker sorting " +
-    "speak spent stale still standOn statisticsShown stepView surroundings tableTexture targets termCount termsShown texels " +
-    "toggleBare toggleCells toggleFull toggleInspecting toggleOptions togglePlaying toggleStatistics toggleTheme toggleVr " +
-    "viewDependent viewer vrOffered vrOn",
-  static: "addRecords addTerms arrivals beside blocks chunk clock colorScale events field parts scene post start end next touch firstId firstSlot gainTop gains harmonicBytes isAtEnd " +
-    "isPastEnd items layers link lowest meanRadius medium needs ranges recordStart regime report resumed roundTrip setPose setTerms setView sleep spheres sums " +
-    "sweep symbol termStart throughput",
-  sort: "batches harmonicBytes idAt rowCount slotAt splat widest",
-};
+// Names of properties in the own classes of a script alone: no browser, JSON, other script or program sees them. The
+// build shortens them everywhere in the script, so a name that JSON has too would never be found there.
+const OWN = JSON.parse(readFileSync(join(here, "own-names.json"), "utf8"));
 const mangleOf = (path) => {
   const names = OWN[basename(path, ".js")];
-  return names ? { properties: { builtins: true, regex: new RegExp(`^(${names.replaceAll(" ", "|")})$`) } } : {};
+  return names ? { properties: { builtins: true, regex: new RegExp(`^(${names.join("|")})$`) } } : {};
 };
 
 if (process.argv.includes("--tests")) {

@@ -157,7 +157,6 @@ def test_a_lost_picture_is_drawn_again(browser: Any, package: Path) -> None:
         assert [line for line in said if line.startswith("error")] == []
 
 
-@pytest.mark.xfail(run=False, reason="a defect since static form 7: a lost part of terms is not named on the page")
 @pytest.mark.parametrize("harm", ["missing", "cut"])
 def test_a_part_that_is_gone_or_cut_is_named_and_the_rest_is_drawn(browser: Any, harm: str, tmp_path: Path) -> None:
     viewer, _ = viewer_files(), chromium()

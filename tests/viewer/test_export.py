@@ -81,6 +81,7 @@ def test_a_site_of_a_package_knows_its_cells_and_floor_without_a_server(browser:
         for where in (address + "/index.html", (tmp_path / "scene.html").as_uri()):
             with page_in(browser, where) as (page, said):
                 wait_for(page, ARRIVED)
+                assert "missing" not in page.inner_text("body")  # all files are there and can be read
                 page.keyboard.press("b")
                 page.wait_for_selector("canvas.overlay:not([hidden])", state="attached", timeout=1000 * PATIENCE)
                 page.keyboard.press("o")

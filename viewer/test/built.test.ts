@@ -1,12 +1,13 @@
 // What is built: types that a small program of somebody else is checked against, names, and how much a page weighs.
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
-import { cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
+import { cpSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { test } from "node:test";
 import { pathToFileURL } from "node:url";
 import { gzipSync } from "node:zlib";
+import OWN from "../own-names.json" with { type: "json" };
 
 const BUILT = join(process.cwd(), "../gsvis/viewer");
 
@@ -48,4 +49,21 @@ test("the page of a stream and the page of a static scene weigh at most 70 kB, g
       shared + weigh(reader) <= 70_000, `${reader}: ${shared + weigh(reader)}`,
     );
   }
+});
+
+test("no name that the build shortens in a script is read from JSON there", () => {
+  const sources = readdirSync("src", { recursive: true, encoding: "utf8" }).filter((name) => name.endsWith(".ts"));
+  let count = 0;
+  for (const name of sources) {
+    const own: string[] = name.startsWith("core") ? Object.values(OWN).flat() : OWN.page;
+    const text = readFileSync(join("src", name), "utf8");
+    const objects = [...text.matchAll(/(\w+): Fields\b|const (\w+) = (?:object|fields)\(/g)].map(([, a, b]) => a ?? b);
+    const read = [...text.matchAll(/const \{([^}]*)\} = (?:object|fields)\(/g)].flatMap(([, keys]) => keys.match(/\w+/g)!);
+    for (const each of new Set(objects)) {
+      for (const [, key] of text.matchAll(new RegExp(`\\b${each}\\.(\\w+)`, "g"))) read.push(key);
+    }
+    count += read.length;
+    assert.deepEqual(read.filter((key) => own.includes(key)), [], name);
+  }
+  assert.ok(count > 20, `${count} reads found`);
 });
