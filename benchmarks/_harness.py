@@ -14,6 +14,7 @@ import platform
 import shlex
 import sys
 import time
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -27,6 +28,7 @@ __all__ = [
     "Timing",
     "add_arguments",
     "find_realdata",
+    "first_reaching",
     "machine",
     "measure",
     "measure_in_turn",
@@ -156,6 +158,16 @@ def realdata() -> Path:
             " GSVIS_REALDATA names; benchmarks/README.md lists the files and where they are from"
         )
     return folder
+
+
+def first_reaching(quality: Callable[[int], float], last: int, target: float) -> int | None:
+    """Return the first of the states 0 to `last` whose quality is at least a target, None if the last has less.
+
+    Found by halving, as quality hardly ever falls.
+    """
+    if quality(last) < target:
+        return None
+    return bisect_left(range(last), True, key=lambda k: quality(k) >= target)
 
 
 def need(made: object, how: str) -> None:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import add_arguments, realdata, write_result
+from _harness import add_arguments, first_reaching, realdata, write_result
 from _reader import build_reader
 from static_site import SIZE, TANGENTS, trace
 
@@ -86,14 +86,8 @@ def curve_of(site: Site, camera: Cameras, steps: list[dict[str, Any]], total: in
     ends = np.searchsorted(sizes, SHARES * total, side="right") - 1
     row: dict[str, Any] = {"psnr": [quality(int(end)) if end >= 0 else 0.0 for end in ends]}
     for target in TARGETS:
-        low, high = 0, len(steps) - 1
-        while low < high:
-            middle = (low + high) // 2
-            if quality(middle) >= target:
-                high = middle
-            else:
-                low = middle + 1
-        row[str(target)] = int(sizes[low])
+        first = first_reaching(quality, len(steps) - 1, target)
+        row[str(target)] = int(sizes[-1 if first is None else first])
     return row
 
 

@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import add_arguments, need, realdata, write_result
+from _harness import add_arguments, first_reaching, need, realdata, write_result
 from _leaves import COARSE, facts_of, name_figures, walks
 
 from gsvis.export.streamed import StreamedOptions, write_streamed_sog
@@ -218,12 +218,8 @@ def bytes_until(written: Written, order: list[tuple[int, int]], camera: Cameras,
             lods[leaf] = lod
         return float(psnr(written.draw(lods, camera), full))
 
-    low, high = 0, len(order)
-    reached = quality(high) >= FIRST
-    while reached and low < high:
-        middle = (low + high) // 2
-        low, high = (low, middle) if quality(middle) >= FIRST else (middle + 1, high)
-    return int(sum(written.sizes[lod, leaf] for leaf, lod in order[:high])), reached
+    count = first_reaching(quality, len(order), FIRST)
+    return int(sum(written.sizes[lod, leaf] for leaf, lod in order[:count])), count is not None
 
 
 def measure(folder: Path, eyes: Eyes, budgets: list[int]) -> list[dict[str, Any]]:

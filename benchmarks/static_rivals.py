@@ -30,9 +30,9 @@ from typing import Any
 
 import numpy as np
 from _browsers import visits
-from _harness import add_arguments, need, realdata, write_result
+from _harness import add_arguments, first_reaching, need, realdata, write_result
 from _slow_host import Host, slow_host
-from static_seconds import _WATCH, SIZE, TARGETS, WIDE, drawn_views, seconds_until, spell
+from static_seconds import _WATCH, SIZE, TARGETS, WIDE, drawn_views, seconds_until, spell, summarize
 from static_seconds import address as address_of
 from static_site import VIEWER, Eye, camera_of, name_arrivals, package_ids
 
@@ -207,22 +207,16 @@ def seconds_of(rival: Rival, camera: Cameras, host: Host) -> dict[str, float | N
     came = rival.arrivals(host)
     whole = draw(rival.groups, camera)
     row: dict[str, float | None] = {}
+
+    def quality(count: int) -> float:
+        return float(psnr(draw([rival.groups[k] for _, k in came[:count]], camera), whole))
+
     for target in TARGETS:
-        low, high = 0, len(came)
-
-        def quality(count: int) -> float:
-            return float(psnr(draw([rival.groups[k] for _, k in came[:count]], camera), whole))
-
-        if quality(high) < target:
+        count = first_reaching(quality, len(came), target)
+        if count is None:
             row[str(target)] = None
-            continue
-        while low < high:
-            middle = (low + high) // 2
-            if quality(middle) >= target:
-                high = middle
-            else:
-                low = middle + 1
-        row[str(target)] = came[low - 1][0] if low else 0.0
+        else:
+            row[str(target)] = came[count - 1][0] if count > 0 else 0.0
     return row
 
 
@@ -288,15 +282,7 @@ def figures_of(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     for delay, rate in sorted({(row["delay"], row["rate"]) for row in rows}):
         for name in ("gsvis", "PlayCanvas", "Spark"):
             mine = [row for row in rows if (row["delay"], row["rate"], row["name"]) == (delay, rate, name)]
-            for target in TARGETS:
-                values = [LONGEST if row[str(target)] is None else row[str(target)] for row in mine]
-                out.append(
-                    {
-                        "name": f"{name}, {1000 * delay:.0f} ms, {rate:.0f} Mbit/s, eyes in cells: {target:.0f} dB",
-                        "target": None, "reached": float(np.median(values)), "unit": "s", "better": "lower",
-                        "worst": max(values),
-                    }
-                )  # fmt: skip
+            out += summarize(f"{name}, {1000 * delay:.0f} ms, {rate:.0f} Mbit/s, eyes in cells", mine, LONGEST)
     return out
 
 

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import add_arguments, write_result
+from _harness import add_arguments, first_reaching, write_result
 
 from gsvis.abr import FieldOfView
 from gsvis.color.evaluate import Evaluator
@@ -87,16 +87,9 @@ def first_bytes(eye: Eye, steps: list[dict[str, Any]]) -> dict[float, tuple[int,
         return known[k]
 
     for target in TARGETS:
-        low, high = 0, len(steps) - 1
-        if quality(high) < target:
-            continue
-        while low < high:
-            middle = (low + high) // 2
-            if quality(middle) >= target:
-                high = middle
-            else:
-                low = middle + 1
-        found[target] = steps[low]["bytes"], steps[low]["requests"]
+        first = first_reaching(quality, len(steps) - 1, target)
+        if first is not None:
+            found[target] = steps[first]["bytes"], steps[first]["requests"]
     return found
 
 

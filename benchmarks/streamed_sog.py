@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import write_result
+from _harness import first_reaching, write_result
 from _leaves import facts_of, name_figures, open_scene, parse_arguments, visible_sets, walks
 
 from gsvis.export.streamed import StreamedOptions, write_streamed_sog
@@ -91,13 +91,8 @@ class View:
 
     def first(self, order: np.ndarray, least: float) -> int:
         """Leaves of an order until its drawing has so many dB: by halving, as more leaves hardly ever draw worse."""
-        low, high = 0, len(order)
-        if self.quality(order) < least:
-            return len(order) + 1
-        while low < high:
-            middle = (low + high) // 2
-            low, high = (low, middle) if self.quality(order[:middle]) >= least else (middle + 1, high)
-        return low
+        count = first_reaching(lambda k: self.quality(order[:k]), len(order), least)
+        return len(order) + 1 if count is None else count
 
 
 def read_leaves(folder: Path) -> tuple[Gaussians, np.ndarray, np.ndarray, np.ndarray]:

@@ -80,3 +80,10 @@ def test_a_recorded_command_names_no_folder_of_a_machine(harness: ModuleType, tm
         (str(inside), "docs/x.json"),
     ):
         assert harness._without_folders(given) == kept
+
+
+@pytest.mark.parametrize("last", [0, 1, 7])
+def test_the_first_state_that_is_good_is_found(last: int, harness: ModuleType) -> None:
+    for first in range(last + 1):
+        assert harness.first_reaching(lambda k, first=first: float(k >= first), last, 1.0) == first
+    assert harness.first_reaching(lambda k: 0.0, last, 1.0) is None

@@ -241,55 +241,18 @@ def _backward_block(
     block, given, viewmat, intrinsics, size, antialiased, ids, sums, v_means2d, v_opacities, outs, m, r, v_r
 ):
     """Run `project_backward` for the splats of one block; m (2, 3), r and v_r (3, 3) are buffers."""
-    means, quats, scales, opacities = given
-    v_means, v_quats, v_scales = outs
     for j in range(256 * block, min(len(ids), 256 * block + 256)):
         _one_backward(
-            ids[j],
-            means,
-            quats,
-            scales,
-            opacities,
-            viewmat,
-            intrinsics,
-            size,
-            antialiased,
-            j,
-            sums,
-            v_means2d,
-            v_opacities,
-            v_means,
-            v_quats,
-            v_scales,
-            m,
-            r,
-            v_r,
+            ids[j], j, given, viewmat, intrinsics, size, antialiased, sums, v_means2d, v_opacities, outs, (m, r, v_r)
         )
 
 
 @njit(cache=True, fastmath=FUSED, inline="always")
-def _one_backward(
-    i,
-    means,
-    quats,
-    scales,
-    opacities,
-    viewmat,
-    intrinsics,
-    size,
-    antialiased,
-    j,
-    sums,
-    v_means2d,
-    v_opacities,
-    v_means,
-    v_quats,
-    v_scales,
-    m,
-    r,
-    v_r,
-):
-    """Run `project_backward` for Gaussian i, splat j; m (2, 3), r and v_r (3, 3) are buffers."""
+def _one_backward(i, j, given, viewmat, intrinsics, size, antialiased, sums, v_means2d, v_opacities, outs, buffers):
+    """Run `project_backward` for Gaussian i, splat j; the buffers are (2, 3), (3, 3) and (3, 3)."""
+    means, quats, scales, opacities = given
+    v_means, v_quats, v_scales = outs
+    m, r, v_r = buffers
     fx = intrinsics[0]
     fy = intrinsics[1]
     width, height = size
