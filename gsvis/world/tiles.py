@@ -6,6 +6,7 @@ Scene frame and units.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -231,6 +232,8 @@ def config_of(value: dict[str, Any]) -> PrepareConfig:
     fit = dict(colors["fit"])
     if fit["decays"] is not None:
         fit["decays"] = tuple(fit["decays"])
+    if fit["width_loss"] is None:  # JSON has no infinity
+        fit["width_loss"] = math.inf
     return PrepareConfig(
         levels=None if value["levels"] is None else LevelsConfig(**value["levels"]),
         level_views=ViewSampling(**value["level_views"]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +24,7 @@ from gsvis.scene.procedural import nested_shells, two_rooms
 from gsvis.world.build import WorldBuild
 from gsvis.world.packages import _witnesses
 from gsvis.world.rows import load_gaussians, load_tile_levels
-from gsvis.world.tiles import load_space, space_of_tile
+from gsvis.world.tiles import config_of, load_space, space_of_tile
 from gsvis.world.tiling import TilingConfig
 from tests.world import cities
 
@@ -131,3 +132,11 @@ def test_options_that_tiles_do_not_take_are_refused() -> None:
         replace(cities.config(), package=coarse)
     with pytest.raises(ValueError, match="package: expected no color_steps, got 7; tiles keep the fit"):
         replace(cities.config(), package=replace(package, color_steps=7))
+
+
+@pytest.mark.parametrize("loss", [0.5, float("inf")])
+def test_tiles_take_over_how_colors_are_fitted(loss: float) -> None:
+    package = cities.config().package
+    colors = replace(package.colors, fit=replace(package.colors.fit, width_loss=loss))
+    written = json.loads(json.dumps(replace(package, colors=colors).as_dict(), allow_nan=False))
+    assert config_of(written).colors.fit == colors.fit
