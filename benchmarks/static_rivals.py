@@ -130,7 +130,7 @@ def build_page(folder: Path, source: str, modules: Path) -> None:
     script = folder / "page.js"
     script.write_text(source, encoding="utf-8")
     words = ["npx", "esbuild", str(script), "--bundle", "--minify", "--format=esm", f"--outfile={script}"]
-    environment = {**os.environ, "NODE_PATH": str(modules)}
+    environment = {**os.environ, "NODE_PATH": str(modules.absolute())}
     subprocess.run([*words, "--allow-overwrite", "--log-level=error"], cwd=VIEWER, check=True, env=environment)
 
 

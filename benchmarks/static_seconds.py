@@ -9,8 +9,8 @@ is opened at its first view, and at eyes within cells. Eyes from which the cell'
 
 Given: a package with visible sets (--package), --eyes eyes drawn by --seed, --visits visits at each.
 Measured: seconds from navigation until the image of what has come reaches 20 and 35 dB against all that the
-    package holds in its highest level, 320 x 180, 65 degrees high; requests and bytes until 35 dB, those of the page
-    among them.
+    package holds in its highest level, 320 x 180, 65 degrees high; requests and bytes that had come whole by 35 dB,
+    those of the page among them.
 Defaults chosen on: nothing.
 """
 

@@ -210,7 +210,7 @@ USE = (
                     "static_seconds: chromium, 30 ms, 30 Mbit/s, eyes in cells: 20 dB",
                     "static_seconds: chromium, 30 ms, 30 Mbit/s, eyes in cells: 35 dB",
                 ),
-                ours="first view {0:.1f}, {1:.1f} s; eyes in cells {2:.1f}, {3:.1f} s; one visit an eye, busy",
+                ours="first view {0:.1f}, {1:.1f} s; eyes in cells {2:.1f}, {3:.1f} s; one visit an eye, quiet",
                 peer="form 3: 29 s, more than 70 s",
                 target="≤ 1.5, 3 s",
             ),
