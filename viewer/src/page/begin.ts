@@ -24,7 +24,7 @@ export interface Surroundings {
   poses: readonly StartPose[]; // views that the scene itself proposes
 }
 
-interface Beginning {
+export interface Beginning {
   rig: Rig;
   mode: Mode;
   problem: string | null;

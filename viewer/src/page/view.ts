@@ -4,16 +4,15 @@ import type { Header, Source } from "../core/types.ts";
 import { Actions } from "./actions.ts";
 import type { PageAddress, SceneAddress } from "./address.ts";
 import { Dock, TitleBar, toolBar } from "./bars.ts";
-import { begin, fovOf, guessMeter, rigFromView, survey, viewsFromPoses } from "./begin.ts";
+import { guessMeter, rigFromView, survey } from "./begin.ts";
 import type { Surroundings } from "./begin.ts";
 import { defineActions } from "./commands.ts";
 import type { Commands } from "./commands.ts";
 import { make, meta } from "./dom.ts";
 import { Drive } from "./drive.ts";
+import { Extras } from "./extras.ts";
 import { Facts } from "./facts.ts";
 import { FloorGround } from "./ground.ts";
-import { readHash, readUp, writeHash } from "./hash.ts";
-import type { View } from "./hash.ts";
 import { Help } from "./help.ts";
 import { Inspector } from "./inspector.ts";
 import { colorOf } from "./format.ts";
@@ -25,18 +24,14 @@ import { Notices } from "./notice.ts";
 import { Overlay } from "./overlay.ts";
 import { Panel } from "./panel.ts";
 import { QualityChoice } from "./quality.ts";
-import { part } from "./parts.ts";
+import { Places } from "./places.ts";
 import { DEGREES, pivot, rotation } from "./rig.ts";
-import type { Rig } from "./rig.ts";
 import { factsOf, holdPoses, rest } from "./scene.ts";
-import { readSettings } from "./settings.ts";
-import type { Settings } from "./settings.ts";
 import { Side } from "./side.ts";
-import type { Player, Stage } from "./stage.ts";
+import type { Stage } from "./stage.ts";
 import { StatisticsCard } from "./statistics.ts";
 import { ThemeChoice } from "./theme.ts";
 import { frameFromUp } from "./vector.ts";
-import type { Vec3 } from "./vector.ts";
 import type { PageCamera, ViewerLike, ViewerOptions } from "./viewer-like.ts";
 import { WalkGround } from "./walk.ts";
 import { text } from "./words.ts";
@@ -61,23 +56,12 @@ export class ViewPage {
   #header: Header | null = null;
   #facts: Facts;
   #surroundings: Surroundings = { floor: null, cells: null, poses: [] };
-  #settings: Settings = { views: [], background: null, spots: false, animated: false, plays: false };
-  #said: unknown = null; // settings as they were read
-  #author: HTMLElement | null = null;
   #takeClick: (x: number, y: number) => boolean = () => false;
-  #player: Player | null = null;
   #ready: Promise<unknown>;
-  #views: View[] = [];
-  #view = 0;
   #misses = 0; // waits since the scene was opened, before its server has said anything
   #blank = 0; // looks at a complete picture without a Gaussian
-  #placed = false;
   #focused = false;
   #release: () => void = () => undefined;
-  #start: Rig | null = null;
-  #ownHash = "";
-  readonly #up: Vec3 | null = readUp(location.hash);
-  #lens: { view: Pick<View, "fov" | "longer">; fovY: number } | null = null; // of the last view that was gone to
   readonly #followers: ((resting: boolean) => void)[] = [];
   #walls: Facts | null = null; // asked for walls
   #token: string | null;
@@ -96,6 +80,8 @@ export class ViewPage {
   readonly #spoken = make("p", { class: "hidden", role: "status", "aria-live": "polite" });
   readonly #inspector: Inspector;
   readonly #drive: Drive;
+  readonly #places: Places;
+  readonly #extras: Extras;
   readonly #navigator: Navigator;
   readonly #quality: QualityChoice;
 
@@ -110,12 +96,17 @@ export class ViewPage {
     );
     this.#drive = new Drive({
       actions: this.#actions, moved: () => (this.#quality.move(true), this.#sendCamera(), void this.#learnWalls()),
-      rested: () => (this.#quality.move(false), this.#panel.refresh(), this.#actions.changed(), this.#writeAddress(), this.#lead(true)),
+      rested: () => (this.#quality.move(false), this.#panel.refresh(), this.#actions.changed(), this.#places.write(), this.#lead(true)),
       click: (x, y, withAlt) => void (this.#takeClick(x, y) ? undefined : this.#inspector.on || (withAlt && !this.page.visitor) ? this.#inspector.inspect(x, y) : undefined),
-      doubleClick: (x, y) => void this.#goTo(x, y), view: (index) => this.#goToView(index),
+      doubleClick: (x, y) => void this.#goTo(x, y), view: (index) => this.#places.goToView(index),
       escape: () => this.#side.close() || this.#stopInspecting(),
     });
     this.#navigator = this.#drive.navigator;
+    this.#places = new Places({
+      navigator: this.#navigator, setMode: (mode) => this.#setMode(mode), wake: () => this.#drive.wake(),
+      jumped: () => this.#sendCamera(), say: (line) => this.#notices.say(line),
+      went: (view, index) => (this.#speak(text("say.view", { name: view.name ?? index + 1 })), this.#actions.changed()),
+    });
     this.#inspector = new Inspector({
       side: this.#side, facts: () => this.#facts, viewer: () => this.#viewer, header: () => this.#header,
       place: () => ({ rig: this.#navigator.shown, frame: this.#navigator.frame }), speak: (text) => this.#speak(text),
@@ -124,9 +115,11 @@ export class ViewPage {
     this.#title = new TitleBar(scene.name, scene.root);
     this.#dock = new Dock(this.#actions, {
       mode: () => this.#navigator.mode, setMode: (mode) => this.#setMode(mode),
-      views: () => ({
-        count: this.#views.length, label: this.#views[this.#view]?.name ?? text("bar.view", { number: this.#view + 1, count: this.#views.length }),
-      }),
+      views: () => this.#places,
+    });
+    this.#extras = new Extras({
+      side: this.#side, overlay: this.#overlay.element, dock: this.#dock.element, stage: () => this.stage,
+      say: (line) => this.#notices.say(line),
     });
     this.#panel = new Panel({
       viewer: () => this.#viewer, actions: this.#actions, theme: this.#theme,
@@ -165,72 +158,22 @@ export class ViewPage {
     this.#setMode("orbit");
     this.#panel.fill(null);
     this.#actions.watch(() => this.#dock.refresh());
-    window.addEventListener("hashchange", () => this.#followHash());
+    window.addEventListener("hashchange", () => this.#places.follow());
     document.addEventListener("fullscreenchange", () => this.#actions.changed());
     window.addEventListener("resize", () => this.#resize());
   }
 
-  /** Take settings; no picture waits for their hotspots. */
-  async #apply(said: unknown): Promise<void> {
-    this.#settings = readSettings(said);
-    this.#said = said;
-    await this.#showTimeline(said);
-    if (this.#settings.spots || this.#root.querySelector(".spots")) void this.#showSpots(said);
-  }
-
-  /** Show the controls of an animation; where one of earlier settings plays, the new one plays on. */
-  async #showTimeline(settings: unknown): Promise<void> {
-    const before = this.#player, playing = before?.playing === true;
-    const player = this.#settings.animated ? (await part("tour"))(this.stage, settings) : null;
-    before?.pause();
-    before?.bar.remove();
-    this.#player = player;
-    if (!player) return;
-    this.#dock.element.before(player.bar);
-    if (before && playing) {
-      player.seek(before.seconds);
-      player.play();
-    }
-  }
-
-  async #showSpots(settings: unknown): Promise<void> {
-    const show = await part("hotspots");
-    this.#root.querySelector(".spots")?.remove();
-    this.#overlay.element.after(show(this.stage, settings));
-  }
-
-  /** Open or close the panel of authors; it is made once. */
-  async #toggleAuthor(): Promise<void> {
-    if (this.#side.shows("author")) return void this.#side.close();
-    this.#author ??= (await part("author"))(this.stage);
-    this.#side.open("author", text("action.author"), this.#author);
-  }
-
   #resize(): void {
-    const lens = this.#lens;
     this.#viewer?.resize();
-    if (lens && this.#navigator.shown.fovY === lens.fovY) {
-      this.#navigator.setFov((lens.fovY = fovOf(lens.view)));
-      this.#drive.wake();
-    }
+    this.#places.fit();
     this.#drawCells();
     this.#lead(true);
   }
 
   /** Load settings and facts; neither can stop the scene from being shown. */
   async #prepare(): Promise<void> {
-    const settings = async (): Promise<void> => {
-      if (!this.page.settings) return;
-      try {
-        const response = await fetch(this.page.settings);
-        if (!response.ok) throw new Error(text("say.settings.status", { status: String(response.status) }));
-        await this.#apply(await response.json());
-      } catch (error) {
-        this.#notices.say(text("say.settings", { reason: reasonOf(error) }).trim());
-      }
-    };
     const known = survey(this.#facts);
-    [this.#surroundings] = await Promise.all([known, settings()]);
+    [this.#surroundings] = await Promise.all([known, this.#extras.load(this.page.settings)]);
     this.#overlay.set(this.#surroundings.cells);
   }
 
@@ -311,10 +254,10 @@ export class ViewPage {
     if (this.#source !== source || this.#header?.identity === header.identity) return;
     [this.#header, this.#walls] = [header, null];
     const navigator = this.#navigator, surroundings = this.#surroundings;
-    navigator.reframe(frameFromUp(this.#up ?? header.up));
+    navigator.reframe(frameFromUp(this.#places.up ?? header.up));
     navigator.meter = guessMeter(header, surroundings.cells);
     if (surroundings.floor) navigator.standOn(new FloorGround(surroundings.floor, CLIMB_M * navigator.meter));
-    if (!this.#placed) this.#place();
+    if (!this.#places.isBegun) this.#begin();
     this.#sendCamera();
     this.#release();
     this.#fill(header);
@@ -322,21 +265,15 @@ export class ViewPage {
     this.#showBackground();
   }
 
-  #place(): void {
-    const plays = this.#settings.plays && location.hash.length < 2 && !this.page.still && !this.#navigator.calm;
-    const first = begin(location.hash, this.#settings.views, this.#navigator.frame, this.#surroundings);
-    this.#lens = { view: first.view, fovY: first.rig.fovY };
-    this.#views = this.#settings.views.length ? this.#settings.views : viewsFromPoses(this.#surroundings.poses);
-    this.#placed = true;
+  #begin(): void {
+    const { settings, player } = this.#extras;
+    const plays = settings.plays && location.hash.length < 2 && !this.page.still && !this.#navigator.calm;
+    const first = this.#places.begin(settings.views, this.#surroundings);
     this.#focused = first.focused;
-    const mode = first.mode === "walk" && !this.#navigator.canStandAt(first.rig.eye) ? "fly" : first.mode;
-    this.#navigator.mode = mode;
-    this.#navigator.place(first.rig);
-    this.#setMode(mode);
-    this.#start = begin("", this.#settings.views, this.#navigator.frame, this.#surroundings).rig;
+    this.#setMode(first.mode);
     if (first.problem) this.#notices.say(first.problem);
-    if (plays) this.#player?.play();
-    if (this.page.authors) void this.#toggleAuthor();
+    if (plays) player?.play();
+    if (this.page.authors) void this.#extras.toggleAuthor();
   }
 
   /** Find out how far away lies what is looked at, where no view has said it. */
@@ -393,7 +330,7 @@ export class ViewPage {
   }
 
   get #background(): [number, number, number] {
-    return colorOf(meta("background")) ?? this.#settings.background ?? this.#theme.background;
+    return colorOf(meta("background")) ?? this.#extras.settings.background ?? this.#theme.background;
   }
 
   #showBackground(): void {
@@ -414,7 +351,7 @@ export class ViewPage {
       this.#source?.view({ left: side, right: side, up, down: up });
       this.#source?.pose(camera);
     }
-    if (!this.#viewer || !this.#placed) return;
+    if (!this.#viewer || !this.#places.isBegun) return;
     this.#viewer.camera = camera;
     this.#inspector.mark.hidden = true;
     this.#drawCells();
@@ -425,13 +362,6 @@ export class ViewPage {
     for (const each of this.#followers) each(resting);
   }
 
-  /** Return where a view stands, and keep its angle as the shape of the window changes. */
-  #rigOf(view: View): Rig {
-    const rig = rigFromView(view, this.#navigator.frame);
-    this.#lens = { view, fovY: rig.fovY };
-    return rig;
-  }
-
   #showCells(shown: boolean): void {
     this.#overlay.element.hidden = !shown;
     this.#drawCells();
@@ -439,32 +369,6 @@ export class ViewPage {
 
   #drawCells(): void {
     this.#overlay.draw(this.#navigator.shown, this.#navigator.frame);
-  }
-
-  #writeAddress(): void {
-    if (!this.#placed) return;
-    this.#ownHash = writeHash(this.#navigator.shown, this.#navigator.frame, this.#navigator.mode, this.#up);
-    try {
-      history.replaceState(null, "", this.#ownHash);
-    } catch {
-      // too many changes for this browser, or a page from a disk: the view is not in the address
-    }
-  }
-
-  #followHash(): void {
-    if (location.hash === this.#ownHash) return;
-    const asked = readHash(location.hash);
-    if (asked instanceof Error) return this.#notices.say(text("say.hash"));
-    if (!asked) return;
-    this.#goToPlace(asked);
-  }
-
-  #goToPlace(view: View, now = false): void {
-    if (view.mode) this.#setMode(view.mode);
-    if (now) this.#navigator.place(this.#rigOf(view));
-    else this.#navigator.flyTo(this.#rigOf(view));
-    if (now) this.#sendCamera();
-    this.#drive.wake();
   }
 
   /** What scripts of their own see of this page. */
@@ -482,7 +386,7 @@ export class ViewPage {
           led: navigator.track !== null,
         };
       },
-      go: (view, now) => this.#goToPlace(view, now), turn: (mode) => this.#setMode(mode),
+      go: (view, now) => this.#places.go(view, now), turn: (mode) => this.#setMode(mode),
       lead: (track) => {
         navigator.track = track && ((seconds) => {
           const view = track(seconds);
@@ -490,14 +394,13 @@ export class ViewPage {
         });
         this.#drive.wake();
       },
-      player: () => this.#player,
+      player: () => this.#extras.player,
       find: async (x, y) => (await this.#viewer?.pick(x, y)) ?? null,
       picture: () => this.#viewer?.screenshot() ?? Promise.reject(new Error(text("say.undrawn"))),
-      settings: () => this.#said, clicks: (take) => void (this.#takeClick = take),
+      settings: () => this.#extras.said, clicks: (take) => void (this.#takeClick = take),
       apply: async (said) => {
-        await this.#apply(said);
-        this.#views = this.#settings.views;
-        this.#view = Math.min(this.#view, Math.max(this.#views.length - 1, 0));
+        await this.#extras.apply(said);
+        this.#places.take(this.#extras.settings.views);
         this.#showBackground();
         this.#actions.changed();
       },
@@ -513,9 +416,9 @@ export class ViewPage {
     if (chosen) void this.#learnWalls();
     document.documentElement.dataset.mode = mode;
     this.#speak(text("mode.spoken", { mode: text(`mode.${mode}`) }));
-    if (this.#placed) {
+    if (this.#places.isBegun) {
       void this.#focus();
-      this.#writeAddress();
+      this.#places.write();
     }
     this.#dock.refresh();
     this.#drive.wake();
@@ -524,29 +427,12 @@ export class ViewPage {
   /** Let a walker stop at walls; of scenes without any floor say that nothing is known of them. */
   async #learnWalls(): Promise<void> {
     const facts = this.#facts;
-    if (this.#navigator.mode !== "walk" || !this.#placed || this.#walls === facts) return;
+    if (this.#navigator.mode !== "walk" || !this.#places.isBegun || this.#walls === facts) return;
     this.#walls = facts;
     const grid = await facts.walk();
     if (this.#walls !== facts) return;
     if (grid) this.#navigator.standOn(new WalkGround(grid));
     else if (!this.#surroundings.floor) this.#notices.say(text("say.walls"));
-    this.#drive.wake();
-  }
-
-  #goToView(index: number): void {
-    const view = this.#views[index];
-    if (!view) return;
-    this.#view = index;
-    if (this.#navigator.mode === "walk" && !this.#navigator.canStandAt(view.eye)) this.#setMode("fly");
-    this.#navigator.flyTo(this.#rigOf(view));
-    this.#speak(text("say.view", { name: view.name ?? index + 1 }));
-    this.#actions.changed();
-    this.#drive.wake();
-  }
-
-  #goHome(): void {
-    if (this.#start) this.#navigator.flyTo(this.#start);
-    this.#view = 0;
     this.#drive.wake();
   }
 
@@ -580,7 +466,7 @@ export class ViewPage {
       },
       authors: () => this.page.authors,
       authorShown: () => this.#side.shows("author"),
-      toggleAuthor: () => void this.#toggleAuthor(),
+      toggleAuthor: () => void this.#extras.toggleAuthor(),
       optionsShown: () => this.#side.shows("options"),
       toggleOptions: () => {
         if (this.#side.shows("options")) this.#side.close();
@@ -592,7 +478,7 @@ export class ViewPage {
         this.#figures.element.hidden = !this.#figures.element.hidden;
         this.#look();
       },
-      share: () => void (this.#writeAddress(), copyLink(say)),
+      share: () => void (this.#places.write(), copyLink(say)),
       savePicture: () => void savePicture(this.#viewer, this.scene.name, say),
       cellsKnown: () => this.#overlay.known,
       toggleCells: () => {
@@ -602,15 +488,12 @@ export class ViewPage {
       nextPaint: () => {
         void this.#panel.nextPaint().then((label) => label && this.#notices.say(text("paint.next", { label })));
       },
-      goHome: () => this.#goHome(),
-      views: () => this.#views.length,
-      stepView: (by) => this.#goToView((this.#view + by + this.#views.length) % Math.max(this.#views.length, 1)),
+      goHome: () => this.#places.goHome(),
+      views: () => this.#places.count,
+      stepView: (by) => this.#places.step(by),
       nextMode: () => this.#setMode(MODES[(MODES.indexOf(this.#navigator.mode) + 1) % MODES.length]),
-      animated: () => this.#player !== null,
-      togglePlaying: () => {
-        if (this.#player?.playing) this.#player.pause();
-        else this.#player?.play();
-      },
+      animated: () => this.#extras.player !== null,
+      togglePlaying: () => this.#extras.togglePlaying(),
       toggleTheme: () => {
         this.#theme.choose(this.#theme.dark ? "light" : "dark");
         this.#panel.refresh();
