@@ -3,6 +3,7 @@
 // All that is shown is one mesh of quads. A texture holds the splats, and a Worker sorts them.
 import * as THREE from "three";
 import { gatherShown, joined } from "./gathered.js";
+import { HARMONICS, joinHarmonics } from "./harmonics.js";
 import { runScene } from "./page.js";
 import { readSog } from "./sog.js";
 
@@ -11,6 +12,8 @@ const VERTEX = `
   in uint order;
   uniform highp usampler2D splats;
   uniform vec2 size;
+  uniform bool curved; // colors change with the direction; those of the splats are the numbers of their leaves
+  ${HARMONICS}
   out vec4 tint;
   out vec2 place;
   vec4 bytesOf(uint word) { return vec4(uvec4(word, word >> 8, word >> 16, word >> 24) & 255u) / 255.0; }
@@ -21,6 +24,7 @@ const VERTEX = `
     tint = bytesOf(second.z);
     gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
     if (center.z > -0.02 || tint.a < 1.0 / 255.0) return;
+    if (curved) tint.rgb = colorOf(int(order), int(second.z & 0xffffffu), normalize(uintBitsToFloat(first.xyz) - cameraPosition));
     vec4 q = normalize(bytesOf(second.w) * 2.0 - 1.0); // w x y z
     vec3 v = q.yzw;
     mat3 k = mat3(0.0, v.z, -v.y, -v.z, 0.0, v.x, v.y, -v.x, 0.0);
@@ -62,34 +66,53 @@ geometry.instanceCount = 0;
 const material = new THREE.ShaderMaterial({
   vertexShader: VERTEX, fragmentShader: FRAGMENT, glslVersion: THREE.GLSL3, transparent: true, depthTest: false, depthWrite: false,
   blending: THREE.CustomBlending, blendSrc: THREE.OneFactor, blendDst: THREE.OneMinusSrcAlphaFactor,
-  uniforms: { splats: { value: null }, size: { value: size } },
+  uniforms: { splats: { value: null }, sets: { value: null }, levels: { value: null }, curved: { value: false }, size: { value: size } },
 });
 const mesh = new THREE.Mesh(geometry, material);
 mesh.frustumCulled = false;
 scene.add(mesh);
 
-/** Positions and a texture of what is shown. It is drawn when its first order comes. */
+const textureOf = (data, width, rows, format, type, internalFormat) => {
+  const texture = new THREE.DataTexture(data, width, rows, format, type);
+  return Object.assign(texture, { internalFormat, needsUpdate: true });
+};
+const ofIntegers = (data, width, rows) => textureOf(data, width, rows, THREE.RGBAIntegerFormat, THREE.UnsignedIntType, "RGBA32UI");
+
+/** Positions and textures of what is shown. It is drawn when its first order comes. */
 const worker = new Worker(new URL("sort-worker.js", import.meta.url));
 let newest = 0, waiting = null, sorting = false, sorted = null;
 function build(shown) {
-  const splats = joined(shown), count = splats.length / 32, rows = Math.max(Math.ceil((2 * count) / WIDTH), 1);
+  const harmonics = joinHarmonics(shown), splats = joined(shown.map(({ splats }, leaf) => (harmonics ? numbered(splats, leaf) : splats)));
+  const count = splats.length / 32, rows = Math.max(Math.ceil((2 * count) / WIDTH), 1);
   const texels = new Uint32Array(4 * WIDTH * rows), floats = new Float32Array(splats.buffer), positions = new Float32Array(3 * count);
   texels.set(new Uint32Array(splats.buffer));
   for (let k = 0; k < count; k++) positions.set(floats.subarray(8 * k, 8 * k + 3), 3 * k);
-  const texture = new THREE.DataTexture(texels, WIDTH, rows, THREE.RGBAIntegerFormat, THREE.UnsignedIntType);
-  texture.internalFormat = "RGBA32UI";
-  texture.needsUpdate = true;
-  waiting?.texture.dispose();
-  waiting = { texture, build: ++newest };
+  const { sets, levels, width, levelsWidth } = harmonics ?? { sets: new Uint32Array(4), levels: new Float32Array(1), width: 1, levelsWidth: 1 };
+  for (const texture of waiting?.textures ?? []) texture.dispose();
+  waiting = {
+    build: ++newest, curved: harmonics !== null,
+    textures: [ofIntegers(texels, WIDTH, rows), ofIntegers(sets, width, sets.length / 4 / width),
+      textureOf(levels, levelsWidth, levels.length / levelsWidth, THREE.RedFormat, THREE.FloatType, "R32F")],
+  };
   worker.postMessage({ positions, build: newest }, [positions.buffer]);
   sorted = null;
+}
+
+/** Returns splats whose color is the number of their leaf. */
+function numbered(splats, leaf) {
+  const copy = splats.slice(), words = new Uint32Array(copy.buffer);
+  for (let at = 6; at < words.length; at += 8) words[at] = (words[at] & 0xff000000) | leaf;
+  return copy;
 }
 worker.onmessage = ({ data: { order, build } }) => {
   sorting = false;
   if (build !== newest) return;
   if (waiting) {
-    material.uniforms.splats.value?.dispose();
-    material.uniforms.splats.value = waiting.texture;
+    ["splats", "sets", "levels"].forEach((name, k) => {
+      material.uniforms[name].value?.dispose();
+      material.uniforms[name].value = waiting.textures[k];
+    });
+    material.uniforms.curved.value = waiting.curved;
     waiting = null;
   }
   if (geometry.getAttribute("order")?.count !== order.length) {

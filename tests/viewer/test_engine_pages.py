@@ -12,6 +12,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from gsvis.export import StreamedOptions, write_streamed_sog
 from gsvis.io import load_scene
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
 from tests.export.test_needs import store_of, two_heaps
 from tests.package.worlds import levels_of
 from tests.serve.servers import PATIENCE
@@ -42,10 +44,8 @@ def modules(*packages: str) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two heaps; the cell on the left sees the left one alone, its neighbor both."""
-    g, folder = two_heaps(200), tmp_path_factory.mktemp("streamed")
+def write_heaps(folder: Path, g: Gaussians) -> Path:
+    """Write two heaps of 200; the cell on the left sees the left one alone, its neighbor both."""
     with (
         pytest.MonkeyPatch.context() as patch,
         store_of(folder / "s.pvs", g, [np.arange(200), np.arange(400)]) as store,
@@ -53,6 +53,11 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr("gsvis.export.streamed._SHARE", 1.0)  # cells of so small a scene stay apart
         write_streamed_sog(folder / "scene", g, StreamedOptions(leaf=200, name="Heaps"), visibility=store)
     return folder / "scene"
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_heaps(tmp_path_factory.mktemp("streamed"), two_heaps(200))
 
 
 @contextmanager
@@ -87,6 +92,16 @@ def test_a_page_draws_what_the_cell_needs(name: str, packages: tuple[str, ...], 
         page.wait_for_function(ready, arg="1,0,0", timeout=1000 * PATIENCE)
         page.keyboard.up("KeyS")
         assert page.evaluate("[streamed.needed, streamed.drawn]") == [2, 400]
+        assert said == []
+
+
+@pytest.mark.parametrize("degree", [1, 3])
+def test_three_js_draws_colors_that_change_with_the_direction(degree: int, tmp_path: Path) -> None:
+    heaps = two_heaps(200)
+    bent = np.random.default_rng(degree).normal(0.0, 0.3, (len(heaps), (degree + 1) ** 2 - 1, 3))
+    scene = write_heaps(tmp_path, replace(heaps, shN=bent.astype(np.float32)))
+    with page_of("three.html", tmp_path, scene, LEFT, "three") as (page, said):
+        wait_for_picture(page, scene)
         assert said == []
 
 
