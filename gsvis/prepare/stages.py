@@ -12,7 +12,7 @@ import os
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -493,14 +493,18 @@ class Stages:
             self.remarks.append(record["warning"])
         return record
 
-    def overdraw(self, levels: Levels, store: VisibilityStore) -> dict[str, Any] | None:
-        """Return the overdraw of each cell, see `describe_overdraw`; None with surroundings, which cells see too."""
-        if self.around is not None:
-            return None
-        key = self._key("overdraw", levels=_content(levels), sets=digest_of_folder(store.path).split()[0])
+    def overdraw(self, levels: Levels, store: VisibilityStore) -> dict[str, Any]:
+        """Return the overdraw of each cell, see `describe_overdraw`; with surroundings, of what cells see of both."""
+        around = {} if self.around is None else {"around": self.around.digest}
+        key = self._key("overdraw", levels=_content(levels), sets=digest_of_folder(store.path).split()[0], **around)
         name = f"overdraw-{key}.json"
         if not self.work.whole(name):
-            found = describe_overdraw(sample_fill_of_cells(levels, store, progress=self.progress))
+            with ExitStack() as opened:
+                beyond = None
+                if self.around is not None:
+                    levels = self.around.joined(levels)
+                    beyond = opened.enter_context(VisibilityStore.open(self.work.at(around_of(store.path.name))))
+                found = describe_overdraw(sample_fill_of_cells(levels, store, beyond, progress=self.progress))
             with atomic_path(self.work.at(name)) as path:
                 path.write_text(json.dumps(found), encoding="utf-8")
             self.work.seal_file(name)

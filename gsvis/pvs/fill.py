@@ -39,19 +39,25 @@ def fill_of_cells(levels: Levels, store: VisibilityStore, cells: ArrayLike, *, p
     return Fill(*(np.concatenate(column) if column else np.zeros(0) for column in columns))
 
 
-def sample_fill_of_cells(levels: Levels, store: VisibilityStore, *, progress: Progress = silent) -> SampledFill:
+def sample_fill_of_cells(
+    levels: Levels, store: VisibilityStore, beyond: VisibilityStore | None = None, *, progress: Progress = silent
+) -> SampledFill:
     """Return what `fill_of_cells` does for all cells but the fill until opaque, from sampled pixels.
 
     Args:
-        levels: The levels.
-        store: Visible sets of their union.
+        levels: The levels; the Gaussians of `beyond` follow those of `store`.
+        store: Visible sets of their union, or of its first Gaussians.
+        beyond: What the same cells see of the Gaussians behind these; None for nothing.
         progress: Called with stage "fill", in cells.
     """
     top = levels.member(len(levels) - 1)
+    own = store.gaussians
     rows = np.zeros((len(store), 3))
     progress("fill", 0, len(store))
     for cell in range(len(store)):
         ids = store.visible_ids(cell)
+        if beyond is not None:
+            ids = np.concatenate([ids, own + beyond.visible_ids(cell)])
         found = sample_fill_around(levels.union[ids[top[ids]]], store.grid.centers[cell][None])
         rows[cell] = found.splats[0], found.mean[0], found.worst[0]
         progress("fill", cell + 1, len(store))

@@ -32,7 +32,7 @@ from gsvis.world.tiles import config_of, load_space
 
 __all__ = ["MEMORY", "VERSIONS", "prepare_tile", "tile_memory"]
 
-VERSIONS = {"prepare_tile": [3, {name: version for name, version in STAGES.items() if name != "levels"}]}
+VERSIONS = {"prepare_tile": [4, {name: version for name, version in STAGES.items() if name != "levels"}]}
 
 _HELD = 60 << 20  # bytes that a worker still holds from earlier tasks
 

@@ -15,6 +15,7 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.jobs import graph
 from gsvis.jobs.workers import Workers
 from gsvis.package import Package
+from gsvis.pvs.fill import read_overdraw, sample_fill_of_cells
 from gsvis.train.levels import LevelsConfig
 from gsvis.world import Tile, World, packages
 from gsvis.world.prepare import check_world_target, prepare_world
@@ -64,6 +65,21 @@ def test_every_tile_is_a_package_of_today(city: Path) -> None:
     for node in range(len(world)):
         with Package.open(world.package_path(node)) as package:
             package.verify()
+
+
+def test_tiles_state_the_overdraw_of_all_that_their_cells_see(city: Path) -> None:
+    """What lies around a tile counts too: no cell has fewer splats than of its own tile, and some have more."""
+    world, more = World.open(city), 0
+    for tile, entry in enumerate(world.manifest.tiles):
+        if not entry.cells:
+            continue
+        with world.package(tile) as package:
+            stated = read_overdraw(package.manifest.info.provenance["overdraw"], entry.cells)
+            alone = sample_fill_of_cells(package.contents.levels(), package.visibility)
+        assert stated is not None
+        assert (stated.splats >= 0.95 * alone.splats).all()  # records are rounded
+        more += int(np.count_nonzero(stated.splats > 1.1 * alone.splats))
+    assert more
 
 
 def test_cells_see_across_the_border(city: Path) -> None:
