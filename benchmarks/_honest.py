@@ -30,10 +30,11 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.errors import ProtocolError
 from gsvis.package import Package
 from gsvis.package.contents import base_rgb
+from gsvis.package.rounding import chunks_of
 from gsvis.scene.sh import SH_C0
 from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver
 from gsvis.stream.batch import Sections
-from gsvis.stream.coding import Coding, chunks_of
+from gsvis.stream.coding import Coding
 from gsvis.stream.wire import ERROR, ServerFault
 
 __all__ = ["Checker", "Checks", "Link", "Viewer", "Visit", "begin_checks", "check"]

@@ -33,9 +33,10 @@ from gsvis.package.blocks import write_blocks
 from gsvis.package.manifest import MANIFEST, Blob
 from gsvis.package.package import PARTS, columns_of
 from gsvis.package.parts import MOST_BYTES, PartFolder
+from gsvis.package.rounding import chunks_of
 from gsvis.progress import silent
 from gsvis.stream import StreamedScene
-from gsvis.stream.coding import Coding, chunks_of
+from gsvis.stream.coding import Coding
 
 SCENES = {"nika": ("nika_sh3", 1), "showroom": ("showroom", 3), "flowers": ("flowers_sh2", 2)}
 KINDS = ("records", "chunks", "terms")

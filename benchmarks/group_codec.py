@@ -29,12 +29,12 @@ from _harness import add_arguments, need, write_result
 from stream_codec import per_gaussian
 
 from gsvis.package import Contents, base_rgb
+from gsvis.package.rounding import Quality
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.stream import Receiver, StreamedScene
 from gsvis.stream.batch import Sections
-from gsvis.stream.coding import Quality
 
 BATCH = 50_000
 VIEWER = Path(__file__).parents[1] / "viewer"

@@ -27,9 +27,9 @@ from _harness import add_arguments, need, write_result
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.predict import exponential
+from gsvis.package.rounding import Quality
 from gsvis.stream import Message, Receiver, Session, StreamedScene
 from gsvis.stream.batch import CHUNK_ROW, FIXED_BYTES, Sections
-from gsvis.stream.coding import Quality
 
 VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 RATES = (1, 10, 100)

@@ -53,6 +53,7 @@ _CALLED = {
     "sets": "visible sets",
     "colors": "colors",
     "epsilon": "epsilon",
+    "rounding": "rounding of records",
     "cost": "cost of rounding",
     "fidelity": "what a client gets",
     "terms": "lists of terms",
@@ -148,7 +149,9 @@ def check_arguments(command: Prepare) -> PrepareConfig:
         join_cells=command.join_cells,
         sets=config_of(PvsConfig, command.sets, size=command.sets.face_size, rays=command.sets.certify),
         colors=replace(
-            color_config(command.fit, replace(ColorConfig.views, seed=command.seed)), precision=command.fit.precision
+            color_config(command.fit, replace(ColorConfig.views, seed=command.seed)),
+            precision=command.fit.precision,
+            record_psnr=command.fit.record_psnr or None,
         ),
         color_steps=command.color_steps,
         epsilon=_epsilon(command.fit.epsilon),

@@ -74,6 +74,7 @@ _SAID = {
     "train": "training",
     "measure": "measuring",
     "order": "putting the scene in order",
+    "rounding": "choosing how to round records",
     "cost": "measuring what rounding costs",
     "fidelity": "measuring what a client gets",
     "judge": "checking the sets by other eyes",

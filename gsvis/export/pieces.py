@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from gsvis.export.columns import column, compress, differences
 from gsvis.package.codec import packed_bits
 from gsvis.package.contents import Contents
-from gsvis.stream.coding import Coding, chunks_of
+from gsvis.package.rounding import chunks_of
+from gsvis.stream.coding import Coding
 
 __all__ = ["PieceCoder", "place"]
 
@@ -49,6 +50,7 @@ def place(contents: Contents, ids: I64) -> Contents:
         contents.grids,
         np.array([0, len(ids)]),
         contents.facts,
+        contents.limits,
     )
 
 

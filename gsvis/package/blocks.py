@@ -8,7 +8,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +17,21 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.files.limits import DAMAGED, Budget
 from gsvis.package.codec import ChunkTable
-from gsvis.package.coded import decode_gaussians, decode_terms, encode_gaussians, encode_terms, memory_of
+from gsvis.package.coded import (
+    TermsLack,
+    decode_gaussians,
+    decode_terms,
+    encode_gaussians,
+    encode_terms,
+    memory_of,
+)
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES, RecordLayout, TermLayout
 from gsvis.package.manifest import Block, Manifest
 from gsvis.package.parts import MOST_BYTES, PartFolder
 from gsvis.progress import Progress
 
-__all__ = ["Rows", "read_blocks", "write_blocks"]
+__all__ = ["Rows", "bytes_of_blocks", "read_blocks", "write_blocks"]
 
 U8 = NDArray[np.uint8]
 Rows = tuple[U8, U8, U8]
@@ -39,25 +47,48 @@ def write_blocks(parts: PartFolder, contents: Contents, progress: Progress) -> I
         progress: Called with stage "package", in blocks.
     """
     total = len(contents.starts) - 1
+    progress("package", 0, total)
+    for k, block in enumerate(_encode_blocks(contents)):
+        gaussians = parts.write_bytes(block.gaussians)
+        terms = tuple((parts.write_bytes(data), count) for data, count in block.terms)
+        yield Block(gaussians, terms, block.size, sum(count for _, count in terms))
+        progress("package", k + 1, total)
+
+
+def bytes_of_blocks(contents: Contents) -> int:
+    """Return the bytes of the parts of a scene with records of Gaussians and of terms."""
+    return sum(len(b.gaussians) + sum(len(data) for data, _ in b.terms) for b in _encode_blocks(contents))
+
+
+class _Coded(NamedTuple):
+    """A coded block: the part of its `size` Gaussians, and parts of terms with the number of terms in each."""
+
+    gaussians: bytes
+    terms: tuple[tuple[bytes, int], ...]
+    size: int
+
+
+def _encode_blocks(contents: Contents) -> Iterator[_Coded]:
+    """Yield the coded blocks of a scene."""
     width = max(1, contents.term_records.shape[1])
     of_terms = TermLayout.from_grids(contents.grids)
     rows = MOST_BYTES // width
     chunks = contents.table.starts
-    progress("package", 0, total)
-    for k in range(total):
-        some = slice(int(contents.starts[k]), int(contents.starts[k + 1]))
-        counts = contents.term_counts[some]
-        table = contents.table[slice(*np.searchsorted(chunks, [some.start, some.stop]).tolist())]
-        gaussians = parts.write_bytes(encode_gaussians(contents.records[some], counts, table, contents.layout))
-        low, high = contents.term_offsets[[some.start, some.stop]].tolist()
+    for begin, stop in pairwise(contents.starts.tolist()):
+        records = contents.records[begin:stop]
+        counts = contents.term_counts[begin:stop]
+        table = contents.table[slice(*np.searchsorted(chunks, [begin, stop]).tolist())]
+        gaussians = encode_gaussians(records, counts, table, contents.layout, contents.limits)
+        low, high = contents.term_offsets[[begin, stop]].tolist()
         firsts = _firsts(counts)
+        lacking = TermsLack.from_records(records, counts, table, contents.grids, contents.limits)
         terms = []
         for start in range(low, high, rows):
             end = min(start + rows, high)
-            data = encode_terms(contents.term_records[start:end], firsts[start - low : end - low], of_terms)
-            terms.append((parts.write_bytes(data), end - start))
-        yield Block(gaussians, tuple(terms), some.stop - some.start, high - low)
-        progress("package", k + 1, total)
+            known = None if lacking is None else lacking.of(start - low, end - low)
+            data = encode_terms(contents.term_records[start:end], firsts[start - low : end - low], of_terms, known)
+            terms.append((data, end - start))
+        yield _Coded(gaussians, tuple(terms), stop - begin)
 
 
 def read_blocks(
@@ -89,29 +120,31 @@ def read_blocks(
         start = int(starts[int(np.argmax(table.starts[heads] != starts))])
         got = f"a block that begins inside a chunk, at Gaussian {start:,}"
         raise FormatError(parts.folder, "chunks", "chunks that end where blocks end", got, DAMAGED)
-    layouts = RecordLayout.from_variant(manifest.grids.variant), layout
 
     def read(k: int) -> Rows:
         """Return the records of block k."""
         chunks = table[slice(int(heads[k]), int(heads[k + 1]))]
-        return _read_coded(parts, manifest.blocks[k], chunks, layouts)
+        return _read_coded(parts, manifest.blocks[k], chunks, manifest)
 
     with ThreadPoolExecutor(max(1, min(8, os.cpu_count() or 1))) as pool:  # kernels run without the GIL
         return list(pool.map(read, range(len(manifest.blocks))))
 
 
-def _read_coded(parts: PartFolder, block: Block, chunks: ChunkTable, layouts: tuple[RecordLayout, TermLayout]) -> Rows:
+def _read_coded(parts: PartFolder, block: Block, chunks: ChunkTable, manifest: Manifest) -> Rows:
     """Return the records of a coded block; `chunks` are the rows of its chunks."""
-    of_records, of_terms = layouts
+    of_records = RecordLayout.from_variant(manifest.grids.variant)
+    of_terms = TermLayout.from_grids(manifest.grids)
     part = block.gaussians
     try:
-        records, counts = decode_gaussians(parts.content_of(part), block.count, chunks, of_records)
+        records, counts = decode_gaussians(parts.content_of(part), block.count, chunks, of_records, manifest.limits)
         _check_terms(parts, block, counts)
         firsts = _firsts(counts)
+        lacking = TermsLack.from_records(records, counts, chunks, manifest.grids, manifest.limits)
         terms = [np.zeros((0, of_terms.nbytes), np.uint8)]
         low = 0
         for part, count in block.terms:
-            terms.append(decode_terms(parts.content_of(part), firsts[low : low + count], of_terms))
+            known = None if lacking is None else lacking.of(low, low + count)
+            terms.append(decode_terms(parts.content_of(part), firsts[low : low + count], of_terms, known))
             low += count
     except FormatError:
         raise

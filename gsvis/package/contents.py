@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis._kernels.rounding import Limits
 from gsvis.color.evaluate import evaluate_along
 from gsvis.color.records import Grids, QuantizedColors, has_scales
 from gsvis.package.codec import ChunkTable, base_colors, build_chunks, decode_records, encode_records
@@ -48,6 +49,7 @@ class Contents:
         grids: The tables of base colors and terms.
         starts: (P + 1,) id of the first Gaussian of each part, and N.
         facts: Facts about the scene that are not in the records.
+        limits: How the records are rounded; None for records that have all bits. See `gsvis.package.rounding`.
     """
 
     names: tuple[str, ...]
@@ -59,6 +61,7 @@ class Contents:
     grids: Grids
     starts: I64
     facts: SceneFacts = _NOTHING_KNOWN
+    limits: Limits | None = None
 
     @classmethod
     def from_levels(cls, levels: Levels, colors: QuantizedColors) -> Contents:

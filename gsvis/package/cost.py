@@ -7,8 +7,8 @@ import numpy as np
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.records import QuantizedColors
 from gsvis.color.srbf import SrbfColors
-from gsvis.package.contents import Contents
 from gsvis.package.manifest import Cost
+from gsvis.package.rounding import Limits, rounded_contents
 from gsvis.progress import Progress, silent
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
@@ -25,6 +25,7 @@ def measure_cost(
     colors: QuantizedColors,
     cameras: Cameras,
     *,
+    limits: Limits | None = None,
     progress: Progress = silent,
 ) -> Cost:
     """Measure the PSNR of the highest level, decoded from records, against the original.
@@ -34,6 +35,7 @@ def measure_cost(
         exact: Colors of the union before rounding.
         colors: Colors of the union after rounding.
         cameras: C > 0 views.
+        limits: How records are rounded; None for records that have all bits.
         progress: Called with stage "cost", in views.
 
     Raises:
@@ -43,7 +45,7 @@ def measure_cost(
         raise ValueError("cameras: expected at least one, got none")
     if len(exact) != len(levels.union):
         raise ValueError(f"exact: expected colors of {len(levels.union):,} Gaussians, got {len(exact):,}")
-    contents = Contents.from_levels(levels, colors)
+    contents = rounded_contents(levels, colors, limits)
     member = levels.member(len(levels) - 1)
     scenes = levels.union[member], contents.gaussians(np.flatnonzero(member))
     shown = exact[member], contents.colors().dequantize()[member]

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from gsvis import _check
+from gsvis._kernels.rounding import Limits
 from gsvis.color.records import Grids
 from gsvis.color.storage import grids_of
 from gsvis.color.variants import VARIANTS
@@ -31,11 +32,13 @@ from gsvis.scene.facts import SceneFacts
 __all__ = ["MANIFEST", "VERSION", "Blob", "Block", "Cost", "Manifest", "PackageInfo"]
 
 FORMAT = "gsvis-package"
-VERSION = 3
+VERSION = 4
+_UNROUNDED = 3  # version of a package whose records have all bits
 _OLDEST = 2
 MANIFEST = "manifest.json"
 _MOST_BYTES = 1 << 30
 _MOST = (1 << 31) - 1
+_MOST_LIMIT = 1 << 15  # largest size of a limit of rounding
 
 
 @dataclass(frozen=True)
@@ -144,6 +147,7 @@ class Manifest:
         blocks: Blocks of Gaussians and terms.
         visibility: The store of visible sets, or None.
         active_terms: Lists of the active terms of each cell; None where they are computed on request.
+        limits: How records are rounded; None for records that have all bits.
         version: Version of the format.
     """
 
@@ -156,6 +160,7 @@ class Manifest:
     blocks: tuple[Block, ...]
     visibility: Blob | None = None
     active_terms: Blob | None = None
+    limits: Limits | None = None
     version: int = VERSION
 
     @property
@@ -204,12 +209,12 @@ class Manifest:
         return sizes if self.active_terms is None else {**sizes, "active_terms": self.active_terms.nbytes}
 
     def to_json(self) -> bytes:
-        """Return the bytes of the file, in the newest version; the same manifest gives the same bytes."""
+        """Return the bytes of the file, in the lowest version that can state it; equal manifests give equal bytes."""
         layout = RecordLayout.from_variant(self.grids.variant)
         sets = self.visibility
-        value = {
+        value: dict[str, Any] = {
             "format": FORMAT,
-            "version": VERSION,
+            "version": _UNROUNDED if self.limits is None else VERSION,
             "up": list(self.info.up),
             "meters_per_unit": self.info.meters_per_unit,
             "gaussians": self.gaussians,
@@ -236,6 +241,8 @@ class Manifest:
             "epsilon": self.info.epsilon,
             "provenance": self.info.provenance,
         }
+        if self.limits is not None:
+            value["quantization"]["rounding"] = self.limits._asdict()
         if self.info.fidelity is not None:
             value["fidelity"] = self.info.fidelity.as_dict()
         if self.active_terms is not None:
@@ -294,6 +301,10 @@ class Manifest:
         if cost is not None:
             sizes = (cost.integer(key, 1, _MOST) for key in ("views", "width", "height"))
             measured = Cost(cost.number("psnr"), cost.number("worst"), *sizes)
+        limits = None
+        if version >= VERSION:
+            rounding = quantized.child("rounding")
+            limits = Limits(*(rounding.integer(key, -_MOST_LIMIT, _MOST_LIMIT) for key in Limits._fields))
         up = fields.numbers("up", 3).tolist()
         fidelity = Fidelity.from_fields(fields.child("fidelity")) if "fidelity" in fields else None
         meters = fields.number("meters_per_unit")
@@ -311,6 +322,7 @@ class Manifest:
             tuple(_parse_block(row, "arrow" if version == 2 else "bin") for row in _parse_objects(fields, "blocks")),
             _parse_blob(fields, "visibility"),
             _parse_blob(fields, "active_terms"),
+            limits,
             version,
         )
         for key, claimed, counted in (("gaussians", "gaussians", found.gaussians), ("terms", "terms", found.terms)):

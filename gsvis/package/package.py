@@ -312,7 +312,7 @@ class Package:
         empty = [np.zeros((0, width), np.uint8) for width in self._widths]
         records, terms = (np.concatenate([empty[k], *(b[k] for b in blocks)]) for k in range(2))
         counts = np.concatenate([np.zeros(0, np.uint8), *(b[2] for b in blocks)])
-        return Contents(m.names, table, levels, records, counts, terms, m.grids, starts, m.info.facts)
+        return Contents(m.names, table, levels, records, counts, terms, m.grids, starts, m.info.facts, m.limits)
 
     def _budget(self) -> Budget:
         """Return the memory budget of all parts, from their size on disk; a part that is named twice counts once."""

@@ -12,15 +12,16 @@ from os import PathLike
 from pathlib import Path
 
 from gsvis import _check
+from gsvis._kernels.rounding import Limits
 from gsvis.color.records import QuantizedColors
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import open_regular
 from gsvis.package.blocks import write_blocks
-from gsvis.package.contents import Contents
 from gsvis.package.manifest import MANIFEST, Blob, Manifest, PackageInfo
 from gsvis.package.package import PARTS, Package, columns_of
 from gsvis.package.parts import MOST_BYTES, Part, PartFolder
+from gsvis.package.rounding import rounded_contents
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.content import scene_hash
@@ -40,6 +41,7 @@ def write_package(
     info: PackageInfo | None = None,
     visibility: str | PathLike[str] | None = None,
     active_terms: str | PathLike[str] | None = None,
+    limits: Limits | None = None,
     progress: Progress = silent,
 ) -> Package:
     """Write a scene as a package.
@@ -52,6 +54,7 @@ def write_package(
         info: Up axis, meters per unit, measured cost, provenance; None means `PackageInfo()`.
         visibility: The store of visible sets of `levels.union`; None for no visible sets.
         active_terms: Lists of the active terms of these sets' cells; None computes them on request.
+        limits: How to round the records; None keeps all bits.
         progress: Called with stage "package", in blocks of the scene.
 
     Returns:
@@ -64,7 +67,7 @@ def write_package(
     """
     target = _check.path("folder", folder)
     check_target(target)
-    contents = Contents.from_levels(levels, colors)
+    contents = rounded_contents(levels, colors, limits)
     scene = scene_hash(levels.union)
     if visibility is not None:
         VisibilityStore.open(visibility, scene=levels.union).close()
@@ -88,6 +91,7 @@ def write_package(
         blocks,
         sets,
         None if active_terms is None else _write_blob(parts, _check.path("active_terms", active_terms)),
+        contents.limits,
     )
     with atomic_path(target / MANIFEST) as partial:
         partial.write_bytes(manifest.to_json())

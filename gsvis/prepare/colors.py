@@ -54,6 +54,8 @@ class ColorConfig:
             (paper, section 3.1).
         precision: "wire" or "coarse": bits of the records of a package, see `gsvis.color.PRECISIONS`. The fit does not
             depend on it.
+        record_psnr: PSNR in dB that images of rounded records keep against exact ones; they are rounded as coarsely as
+            that allows, see `choose_limits`. None keeps all bits. The fit does not depend on it.
 
     Raises:
         ValueError: If a value is out of range.
@@ -64,8 +66,11 @@ class ColorConfig:
     rays_per_face: int = 1
     directions: str = "weighed"
     precision: str = "wire"
+    record_psnr: float | None = None
 
     def __post_init__(self) -> None:
+        if self.record_psnr is not None and not 0.0 < self.record_psnr <= 100.0:
+            raise ValueError(f"record_psnr: expected dB in (0, 100] or None, got {self.record_psnr!r}")
         _check.one_of("directions", self.directions, DIRECTIONS)
         _check.one_of("precision", self.precision, ("wire", "coarse"))
         if self.rays_per_face not in (0, 1, 4, 16, 64):

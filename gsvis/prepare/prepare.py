@@ -21,6 +21,7 @@ from gsvis.jobs.work_folder import WorkFolder
 from gsvis.jobs.workers import Workers
 from gsvis.package import Package, PackageInfo, write_package
 from gsvis.package.manifest import MANIFEST, Manifest
+from gsvis.package.rounding import rounded_contents
 from gsvis.package.writer import check_target
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.stages import StageRecord, Stages, around_of
@@ -108,7 +109,7 @@ def prepare_package(
         about: JSON values to store in the provenance of the package.
         workers: The workers that build visible sets; None means this process.
         progress: Called with the stages "order", or "views" or "photos", "prune", "train NAME" and "measure"; then with
-            "cells", "store", "importance", "price", "fit", "epsilon", "cost", "fidelity",
+            "cells", "store", "importance", "price", "fit", "epsilon", "rounding", "cost", "fidelity",
             "judge", "fill", "terms" and "package".
 
     Returns:
@@ -150,7 +151,6 @@ def finish_package(
     work = stages.work
     config = stages.config
     target = _check.path("out", out)
-    space = stages.space
     with work.opened():
         before = _parts_of(target)
         levels, quality = stages.levels()
@@ -160,22 +160,24 @@ def finish_package(
             exact = colors.exact
             packed = stages.rounded(exact)
             epsilon = stages.epsilon(levels, packed)
-            cost = stages.cost(levels, exact, packed)
+            limits = stages.limits(levels, exact, packed)
+            cost = stages.cost(levels, exact, packed, limits)
+            contents = rounded_contents(levels, packed, limits)
             shipped = stages.shipped_sets(store)
         with VisibilityStore.open(shipped, scene=levels.union) as store:
-            fidelity = stages.fidelity(levels, exact, packed, store, epsilon.value)
+            fidelity = stages.fidelity(levels, exact, contents, store, epsilon.value)
             judged = stages.judged(levels, store)
             overdraw = stages.overdraw(levels, store)
-            listed = stages.cell_terms(levels, packed, store, epsilon.value)
+            listed = stages.cell_terms(levels, contents, store, epsilon.value)
             certificates = store.certificates
             twice = store.info.config.get("traced_twice")
         began = time.perf_counter()
-        views = describe_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
+        views = describe_start_views(levels.level(len(levels) - 1), stages.space, seed=config.level_views.seed)
         found = {"levels": quality, "directions": colors.directions, "views": views, "judged": judged}
         found |= _known(learned_colors=colors.learned, overdraw=overdraw, staircase=epsilon.staircase)
         provenance = {**(about or {}), "config": config.as_dict(), **found}
-        info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity, epsilon.value)
-        parts = {"visibility": shipped, "active_terms": listed}
+        info = PackageInfo(_axis(stages.space), config.meters_per_unit, cost, provenance, fidelity, epsilon.value)
+        parts: dict[str, Any] = {"visibility": shipped, "active_terms": listed, "limits": limits}
         with write_package(target, levels, packed, info=info, **parts, progress=stages.progress) as package:
             manifest = package.manifest
         sizes = {part.name: part.nbytes for part in manifest.parts()}

@@ -35,6 +35,7 @@ from gsvis.jobs.workers import Workers
 from gsvis.package import Contents, Cost, ExactLevel, Fidelity, in_package_order, measure_cost, measure_fidelity
 from gsvis.package.active_terms import colors_hash
 from gsvis.package.cell_terms import CellTerms
+from gsvis.package.rounding import Limits
 from gsvis.prepare.active_terms import list_package_terms
 from gsvis.prepare.calibration import OBSERVED, Epsilon, calibrate_by_flip
 from gsvis.prepare.colors import ColorConfig, find_kept, prepare_colors
@@ -50,6 +51,7 @@ from gsvis.prepare.learned_colors import (
 )
 from gsvis.prepare.levels import make_levels
 from gsvis.prepare.memory import left_for_sets
+from gsvis.prepare.record_limits import choose_limits, views_of_choice
 from gsvis.prepare.surroundings import Surroundings
 from gsvis.progress import Progress
 from gsvis.pvs.build import build_pvs
@@ -74,6 +76,7 @@ VERSIONS = {
     "joined": 3,
     "colors": 3,
     "epsilon": 1,
+    "rounding": 1,
     "cost": 2,
     "fidelity": 3,
     "judged": 3,
@@ -88,8 +91,8 @@ class StageRecord:
     """The record of a stage in this run.
 
     Attributes:
-        name: "levels", "sets", "colors", "epsilon" if it has to be found, "cost", "fidelity", "terms" if they are
-            stored, or "package".
+        name: "levels", "sets", "colors", "epsilon" if it has to be found, "rounding" if records are rounded, "cost",
+            "fidelity", "terms" if they are stored, or "package".
         reused: Whether the whole result existed already.
         seconds: Time that it took in this run.
     """
@@ -273,10 +276,8 @@ class Stages:
         record = self.work.at(path.with_suffix(".json").name)
         if not self.work.whole(path.name) or not self.work.whole(record.name):
             tried = join_until_small(store, path, may_join=self.config.join_cells, progress=self.progress)
-            with atomic_path(record) as partial:
-                partial.write_text(json.dumps([asdict(each) for each in tried]), encoding="ascii")
             self.work.seal_file(path.name)
-            self.work.seal_file(record.name)
+            self._keep(record.name, [asdict(each) for each in tried])
         self.joined = tuple(JoinedCells(**each) for each in json.loads(read_whole(record)))
         return path
 
@@ -299,6 +300,7 @@ class Stages:
         learned = self._lesson_record()
         space = self.space_hash if seen or learned else None
         config = asdict(self.config.colors)
+        del config["record_psnr"]  # which colors do not depend on
         key = self._key("colors", levels=_content(levels), seen=seen, space=space, config=config, **learned)
         return f"colors-{key}.arrow"
 
@@ -334,9 +336,10 @@ class Stages:
         return quantize(exact, self.config.colors.precision, reach=self.reach)
 
     def _precision_record(self) -> dict[str, Any]:
-        """Return what the precision adds to a key; empty for the usual one."""
-        precision = self.config.colors.precision
-        return {} if precision == ColorConfig.precision else {"precision": precision}
+        """Return what the precision of colors and of records adds to a key; empty for the usual ones."""
+        names = ("precision", "record_psnr")
+        given = {name: getattr(self.config.colors, name) for name in names}
+        return {name: value for name, value in given.items() if value != getattr(ColorConfig, name)}
 
     def _lesson_record(self) -> dict[str, Any]:
         """Return what decides the result of learning, for a key; empty without learning."""
@@ -382,10 +385,32 @@ class Stages:
                 drawn = levels.union[shown], packed.dequantize()[shown]
                 calibration = calibrate_by_flip(levels, self.space, drawn, OBSERVED, progress=self.progress)
                 made = Epsilon(DEFAULT_EPSILON) if calibration is None else Epsilon.from_staircase(calibration)
-                with atomic_path(self.work.at(name)) as partial:
-                    partial.write_text(json.dumps(asdict(made)), encoding="ascii")
-                self.work.seal_file(name)
+                self._keep(name, asdict(made))
             return Epsilon(**parse_object(self.work.at(name), read_whole(self.work.at(name))).value)
+
+    def limits(self, levels: Levels, exact: SrbfColors, packed: QuantizedColors) -> Limits | None:
+        """Return how records are rounded; None if they keep all bits."""
+        wanted = self.config.colors.record_psnr
+        if wanted is None:
+            return None
+        rules = views_of_choice(self.config.cost_views)
+        facts = {"colors": colors_hash(exact), "views": list(map(asdict, rules)), **self._precision_record()}
+        name = f"rounding-{self._key('rounding', levels=_content(levels), space=self.space_hash, **facts)}.json"
+        with self._stage("rounding") as done:
+            if not self.work.whole(name):
+                done.append(True)
+                cameras = [rule.cameras(levels, self.space) for rule in rules]
+                found = choose_limits(levels, exact, packed, cameras, wanted, progress=self.progress)
+                self._keep(name, asdict(found))
+            made = parse_object(self.work.at(name), read_whole(self.work.at(name))).value
+        self.remarks += [] if made["limits"] else [f"records keep all bits: rounded ones have less than {wanted:g} dB"]
+        return Limits(*made["limits"]) if made["limits"] else None
+
+    def _keep(self, name: str, value: Any) -> None:
+        """Write a piece of JSON to the working folder."""
+        with atomic_path(self.work.at(name)) as partial:
+            partial.write_text(json.dumps(value), encoding="ascii")
+        self.work.seal_file(name)
 
     def cost_name(self, levels: Levels, exact: SrbfColors) -> str:
         """Return the name of the file of the cost of rounding."""
@@ -395,17 +420,15 @@ class Stages:
         key = self._key("cost", levels=_content(levels), colors=colors, views=views, space=self.space_hash, **bits)
         return f"cost-{key}.json"
 
-    def cost(self, levels: Levels, exact: SrbfColors, packed: QuantizedColors) -> Cost:
+    def cost(self, levels: Levels, exact: SrbfColors, packed: QuantizedColors, limits: Limits | None) -> Cost:
         """Return the cost of rounding in PSNR."""
         name = self.cost_name(levels, exact)
         with self._stage("cost") as done:
             if not self.work.whole(name):
                 done.append(True)
                 cameras = self.config.cost_views.cameras(levels, self.space)
-                cost = measure_cost(levels, exact, packed, cameras, progress=self.progress)
-                with atomic_path(self.work.at(name)) as partial:
-                    partial.write_text(json.dumps(asdict(cost)), encoding="ascii")
-                self.work.seal_file(name)
+                cost = measure_cost(levels, exact, packed, cameras, limits=limits, progress=self.progress)
+                self._keep(name, asdict(cost))
             return Cost(**parse_object(self.work.at(name), read_whole(self.work.at(name))).value)
 
     def fidelity_name(self, levels: Levels, exact: SrbfColors, sets: Path, epsilon: float) -> str:
@@ -424,16 +447,15 @@ class Stages:
         return f"fidelity-{key}.json"
 
     def fidelity(
-        self, levels: Levels, exact: SrbfColors, packed: QuantizedColors, store: VisibilityStore, epsilon: float
+        self, levels: Levels, exact: SrbfColors, contents: Contents, store: VisibilityStore, epsilon: float
     ) -> Fidelity:
-        """Return the final quality against the source scene, in views that are used for nothing else."""
+        """Return the final quality of records against the source scene, in views that are used for nothing else."""
         name = self.fidelity_name(levels, exact, store.path, epsilon)
         with self._stage("fidelity") as done:
             if not self.work.whole(name):
                 done.append(True)
                 member = levels.member(len(levels) - 1)
-                contents = Contents.from_levels(levels, packed)
-                terms = CellTerms(contents.gaussians(), packed.dequantize(), store, epsilon)
+                terms = CellTerms(contents.gaussians(), contents.colors().dequantize(), store, epsilon)
                 found = measure_fidelity(
                     self.highest,
                     contents,
@@ -443,25 +465,21 @@ class Stages:
                     active=terms,
                     progress=self.progress,
                 )
-                with atomic_path(self.work.at(name)) as partial:
-                    partial.write_text(json.dumps(found.as_dict()), encoding="ascii")
-                self.work.seal_file(name)
+                self._keep(name, found.as_dict())
             return Fidelity.from_fields(parse_object(self.work.at(name), read_whole(self.work.at(name))))
 
-    def cell_terms(
-        self, levels: Levels, packed: QuantizedColors, store: VisibilityStore, epsilon: float
-    ) -> Path | None:
+    def cell_terms(self, levels: Levels, contents: Contents, store: VisibilityStore, epsilon: float) -> Path | None:
         """Return the path of the lists of active terms; None if they are computed when they are needed."""
         if self.config.cell_terms == "computed":
             return None
-        colors = packed.dequantize()
+        colors = contents.colors().dequantize()
         sets = digest_of_folder(store.path).split()[0]
         key = self._key("terms", levels=_content(levels), colors=colors_hash(colors), sets=sets, epsilon=epsilon)
         name = f"active-{key}.terms.arrow"
         with self._stage("terms") as done:
             if not self.work.whole(name):
                 done.append(True)
-                g = Contents.from_levels(levels, packed).gaussians()
+                g = contents.gaussians()
                 list_package_terms(g, colors, store, epsilon, self.work.at(name), progress=self.progress)
                 self.work.seal_file(name)
         return self.work.at(name)
@@ -485,9 +503,7 @@ class Stages:
             judge = partial(judge_sets, levels, self.space, store, views, progress=self.progress)
             if self.one_level or around is not None:
                 judge = partial(judge_tile, levels, self.space, store, views, around, progress=self.progress)
-            with atomic_path(self.work.at(name)) as path:
-                path.write_text(json.dumps(judge().as_dict()), encoding="utf-8")
-            self.work.seal_file(name)
+            self._keep(name, judge().as_dict())
         record: dict[str, Any] = json.loads(read_whole(self.work.at(name)))
         if record["warning"]:
             self.remarks.append(record["warning"])
@@ -505,11 +521,8 @@ class Stages:
                     levels = self.around.joined(levels)
                     beyond = opened.enter_context(VisibilityStore.open(self.work.at(around_of(store.path.name))))
                 found = describe_overdraw(sample_fill_of_cells(levels, store, beyond, progress=self.progress))
-            with atomic_path(self.work.at(name)) as path:
-                path.write_text(json.dumps(found), encoding="utf-8")
-            self.work.seal_file(name)
-        record: dict[str, Any] = json.loads(read_whole(self.work.at(name)))
-        return record
+            self._keep(name, found)
+        return dict(json.loads(read_whole(self.work.at(name))))
 
     @property
     def highest(self) -> Gaussians:

@@ -13,7 +13,7 @@ Time, in seconds, is an argument. Scene frame and units. Sizes are bytes of mess
 docs/streaming.md describes the messages.
 """
 
-from gsvis.stream.coding import Quality
+from gsvis.package.rounding import Quality
 from gsvis.stream.receiver import Received, Receiver
 from gsvis.stream.scene import StreamedScene
 from gsvis.stream.session import Message, Session

@@ -6,37 +6,23 @@ bits. The code is lossless; with a `Quality`, records are rounded before.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis._kernels.records import logarithms
+from gsvis._kernels.rounding import TURNS
 from gsvis._kernels.terms import TermFields
 from gsvis.color.records import Grids
-from gsvis.package.codec import ChunkTable, lay_linear
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RecordLayout, TermLayout, term_fields
+from gsvis.package.rounding import Chunks, Limits, Quality, chunks_of, limits_of, round_records
 from gsvis.stream._kernels import coder, records, terms
 from gsvis.stream.tables import Tables
 
-__all__ = [
-    "MOST_STEP",
-    "Coding",
-    "Limits",
-    "Quality",
-    "Steps",
-    "chunks_of",
-    "coarsen",
-    "limits_for",
-    "mean_light",
-    "round_records",
-    "sizes_of",
-    "table_sizes",
-]
+__all__ = ["Coding", "Steps", "coarsen", "table_sizes"]
 
 U8 = NDArray[np.uint8]
 U64 = NDArray[np.uint64]
@@ -44,30 +30,6 @@ I64 = NDArray[np.int64]
 
 _CLOSE = (1, 2, 5, 11, 22, 48)  # a typical distance of ids for each table of largest scales
 _PIECE = 1 << 16  # records that are counted at a time
-
-MOST_STEP = 1 << 15
-"""Largest limit of steps."""
-
-
-@dataclass(frozen=True)
-class Quality:
-    """How records are rounded before coding: the less light a Gaussian adds to an image, the coarser.
-
-    The light of a Gaussian is the area of its outline times the square of its opacity.
-
-    Attributes:
-        place: log2 of the coarsest step of a coordinate, in mean scales, for an opaque Gaussian of median size.
-        turn: Bits dropped from each component of the quaternion, for a Gaussian of median area.
-        opacity: Bits of the opacity that are rounded, for a Gaussian of median area.
-        shape: Bits of the ratios of the scales that are rounded, for a Gaussian of mean light.
-        color: Bits of each byte of the base color that are rounded, for a Gaussian of mean light.
-    """
-
-    place: float = -2.0
-    turn: float = 4.75
-    opacity: float = 2.75
-    shape: float = 3.0
-    color: float = 2.75
 
 
 @dataclass(frozen=True)
@@ -82,30 +44,10 @@ class Steps:
     place: int
     turn: int
 
-
-class Limits(NamedTuple):
-    """How all records of a scene are rounded.
-
-    Attributes:
-        steps: Bits that are not sent.
-        rounding: Bits that are rounded; clients need not know them.
-    """
-
-    steps: Steps
-    rounding: records.Rounding
-
-
-def chunks_of(table: ChunkTable) -> records.Chunks:
-    """Return the rows of chunks in the form that the coding kernels take."""
-    bits = np.ascontiguousarray(np.abs(table.steps)).view(np.uint32).astype(np.int64)
-    steps = (bits >> 23) - 127 + (bits & 0x7FFFFF > 0)
-    curved = table.logarithmic
-    wide = table.bits.astype(np.int64)
-    ends = table.origins - table.steps.astype(np.float64) * ((np.int64(1) << wide) - 1)
-    # log2 of the largest factor by which a logarithmic coordinate stretches a step
-    reach = np.ceil(np.maximum(np.abs(table.origins), np.abs(ends)) * math.log2(math.e))
-    steps[curved] += reach[curved].astype(np.int64)
-    return records.Chunks(table.lows.astype(np.int64), table.strides.astype(np.int64), steps, wide)
+    @classmethod
+    def from_limits(cls, limits: Limits) -> Steps:
+        """Return what a client has to know of how records are rounded."""
+        return cls(limits.place, limits.turn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +122,7 @@ class Coding:
         of_terms = self.encode_terms(contents.term_records[: len(owners)].copy(), owners)
         return len(found) / len(ids) if len(ids) else 16.0, len(of_terms) / len(owners) if len(owners) else 4.0
 
-    def encode_records(self, rows: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> U8:
+    def encode_records(self, rows: U8, ids: I64, of: NDArray[np.int32], chunks: Chunks) -> U8:
         """Encode the records of G Gaussians.
 
         Args:
@@ -196,7 +138,7 @@ class Coding:
         return self._split_rows(contents.records, contents.chunks, chunks_of(contents.table))
 
     def encode_some(
-        self, parts: NDArray[np.uint16], ids: NDArray[np.int32], of: NDArray[np.int32], chunks: records.Chunks
+        self, parts: NDArray[np.uint16], ids: NDArray[np.int32], of: NDArray[np.int32], chunks: Chunks
     ) -> U8:
         """Encode the records of some Gaussians; the same bytes as from `encode_records`.
 
@@ -214,7 +156,7 @@ class Coding:
         first = records.write(parts, ids, of, chunks, self.layout, code.offsets, code.inverses, spans, out)
         return out[first:].view(np.uint8)
 
-    def decode_records(self, data: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> U8 | None:
+    def decode_records(self, data: U8, ids: I64, of: NDArray[np.int32], chunks: Chunks) -> U8 | None:
         """Decode records of G Gaussians, (G, 16) uint8; None if the bytes are not such records."""
         out = np.empty((len(ids), 2), np.uint64)
         words = _short_words(data)
@@ -255,15 +197,13 @@ class Coding:
         good = words is not None and terms.read(words, owners, self.fields, code, out)
         return out if good else None
 
-    def _record_operations(
-        self, rows: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks
-    ) -> NDArray[np.uint32]:
+    def _record_operations(self, rows: U8, ids: I64, of: NDArray[np.int32], chunks: Chunks) -> NDArray[np.uint32]:
         """Return the operations of the coder for records; arguments as for `encode_records`."""
         out = np.empty(records.MOST_OPERATIONS * len(rows), np.uint32)
         parts = self._split_rows(rows, of, chunks)
         return out[: records.operations(parts, ids, of, chunks, self.layout, self.tables.offsets, out)]
 
-    def _split_rows(self, rows: U8, of: NDArray[np.int32], chunks: records.Chunks) -> NDArray[np.uint16]:
+    def _split_rows(self, rows: U8, of: NDArray[np.int32], chunks: Chunks) -> NDArray[np.uint16]:
         """Return records (G, 16) uint8 split into fields (G, 16) uint16."""
         out = np.empty((len(rows), records.ROW), np.uint16)
         offsets = self.tables.offsets
@@ -293,71 +233,8 @@ def coarsen(contents: Contents, quality: Quality) -> tuple[Contents, Steps]:
         contents: The records of a package.
         quality: How to round.
     """
-    sizes = sizes_of(contents)
-    mean, area = np.median(sizes[:2], axis=1).tolist()
-    limits = limits_for(quality, mean, area, mean_light(sizes[2]))
-    return round_records(contents, limits), limits.steps
-
-
-def sizes_of(contents: Contents) -> NDArray[np.float64]:
-    """Return (3, N) sizes of Gaussians in octaves (log2); (3, 1) zeros if there are none.
-
-    The rows are the mean scale, the area (product of the two larger scales), and the light (area times the square of
-    the opacity in 255ths).
-    """
-    g = contents.gaussians()
-    if not len(g):
-        return np.zeros((3, 1))
-    scales = np.log2(np.maximum(g.scales.astype(np.float64), 1e-30))
-    areas = np.sort(scales, axis=1)[:, 1:].sum(axis=1)
-    return np.stack([scales.mean(axis=1), areas, areas + 2.0 * np.log2(np.maximum(255.0 * g.opacities, 1.0))])
-
-
-def mean_light(lights: NDArray[np.float64], counts: I64 | None = None) -> float:
-    """Return the light, in octaves, whose square root is the mean of the square roots of all lights.
-
-    After rounding by `Quality`, the error of a Gaussian is proportional to the square root of its light. So the sum of
-    the errors is the same as that of equally many Gaussians of this light.
-
-    Args:
-        lights: (M,) the third row of `sizes_of`.
-        counts: (M,) how often each light occurs; None means once.
-    """
-    most = float(lights.max())
-    return most + 2.0 * float(np.log2(np.average(np.exp2((lights - most) / 2.0), weights=counts)))
-
-
-def limits_for(quality: Quality, mean: float, area: float, light: float) -> Limits:
-    """Return how a scene with these sizes is rounded.
-
-    Args:
-        quality: How to round.
-        mean: Median of the mean scales, the first row of `sizes_of`.
-        area: Median of the areas, the second row.
-        light: `mean_light` of the lights, the third row.
-    """
-    limits = np.array(
-        [
-            quality.place + mean + np.log2(255),
-            quality.turn + area / 4,
-            quality.opacity + area / 4,
-            quality.shape + light / 4,
-            quality.color + light / 4,
-        ]
-    )
-    place, turn, *rounding = np.clip(np.rint(64 * limits), -MOST_STEP, MOST_STEP).astype(int).tolist()
-    return Limits(Steps(place, turn), records.Rounding(*rounding))
-
-
-def round_records(contents: Contents, limits: Limits) -> Contents:
-    """Return records in linear boxes, rounded, with zeros for the bits that are not sent."""
-    laid, table = lay_linear(contents.records, contents.table, contents.layout)
-    contents = replace(contents, records=laid, table=table)
-    out = np.empty((len(contents), 2), np.uint64)
-    layout = layout_of(contents.grids, limits.steps)
-    chunks = chunks_of(contents.table)
-    records.coarsen(_to_words(contents.records), contents.chunks, chunks, layout, limits.rounding, out)
-    return replace(contents, records=_to_bytes(out))
+    limits = limits_of(contents, quality)
+    return round_records(contents, limits, stated=False), Steps.from_limits(limits)
 
 
 def layout_of(grids: Grids, steps: Steps | None) -> records.Layout:
@@ -393,7 +270,7 @@ def table_sizes(grids: Grids) -> list[int]:
         scale,
         scale,
         *[records.STEPS] * 6,
-        *[turn] * (3 * records.TURNS),
+        *[turn] * (3 * TURNS),
         *[256] * 34,
         1 << min(term.function, 6),
         *[strength] * 9,

@@ -23,7 +23,8 @@ from gsvis.errors import FormatError, ProtocolError, SceneError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.package.layout import RECORD_BYTES, TermLayout
 from gsvis.package.manifest import Manifest, PackageInfo
-from gsvis.stream.coding import MOST_STEP, Coding, Steps, table_sizes
+from gsvis.package.rounding import MOST_STEP
+from gsvis.stream.coding import Coding, Steps, table_sizes
 from gsvis.stream.tables import Tables
 from gsvis.stream.wire import FAULTS, PROTOCOL, WELCOME
 

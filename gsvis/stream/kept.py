@@ -28,7 +28,7 @@ from gsvis.files.locks import try_lock
 from gsvis.files.mapped import MappedArrays
 from gsvis.files.sums import file_sum
 from gsvis.package.package import Package
-from gsvis.stream.coding import Quality
+from gsvis.package.rounding import Quality
 from gsvis.stream.header import identity_of
 from gsvis.stream.piecewise import SceneTables, write_tables
 from gsvis.stream.scene import StreamedScene

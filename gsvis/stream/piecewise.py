@@ -23,8 +23,9 @@ from gsvis.files.mapped import ArrayFiles, ArrayLists, GrowingArrays
 from gsvis.package.codec import packed_bits
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES
+from gsvis.package.rounding import Limits, Quality, chunks_of, limits_for, mean_light, round_records, sizes_of
 from gsvis.stream.batch import CHUNK_ROW
-from gsvis.stream.coding import Coding, Limits, Quality, chunks_of, limits_for, mean_light, round_records, sizes_of
+from gsvis.stream.coding import Coding, Steps
 from gsvis.stream.header import SceneHeader
 from gsvis.stream.source import SceneSource
 
@@ -158,13 +159,15 @@ def _append_all(out: GrowingArrays, source: SceneSource, pixel: float, quality: 
 def _survey(source: SceneSource, quality: Quality | None) -> _Survey:
     """Read all pieces to choose rounding and code, and to measure mean bytes."""
     limits = None if quality is None else _rounding_limits(source, quality)
+    known = limits or source.manifest.limits
+    steps = None if known is None else Steps.from_limits(known)
     keys = np.zeros(0, np.int64)
     coding = None
     counts = np.zeros(0, np.int64)
     for k, contents in enumerate(source.pieces()):
-        rounded = contents if limits is None else round_records(contents, limits)
+        rounded = contents if limits is None else round_records(contents, limits, stated=False)
         if coding is None:
-            coding = Coding.blank(contents.grids, None if limits is None else limits.steps)
+            coding = Coding.blank(contents.grids, steps)
             counts = np.zeros(len(coding.tables.levels), np.int64)
         counts += source.piece_weight(k) * coding.count(rounded)
         if source.epsilon is not None and len(contents.term_records):
@@ -175,7 +178,7 @@ def _survey(source: SceneSource, quality: Quality | None) -> _Survey:
     of_terms = _Mean(4.0)
     some = _MOST if len(source.ranges()) == 1 else _SOME
     for contents in source.pieces():
-        rounded = contents if limits is None else round_records(contents, limits)
+        rounded = contents if limits is None else round_records(contents, limits, stated=False)
         found = coding.mean_bytes(rounded, most=some)
         of_gaussians.add(found[0], len(contents))
         of_terms.add(found[1], len(contents.term_records))
@@ -243,7 +246,7 @@ def _write_pieces(
         out.append("record_centers", np.zeros((0, 3), np.float32))
     out.append("record_term_offsets", np.zeros(1, np.int64))
     for piece, (low, contents) in enumerate(zip((low for low, _ in source.ranges()), source.pieces(), strict=True)):
-        rounded = contents if survey.limits is None else round_records(contents, survey.limits)
+        rounded = contents if survey.limits is None else round_records(contents, survey.limits, stated=False)
         g = contents.gaussians()
         importance = np.ones(len(contents), np.float32) if source.has_cells else g.opacities
         levels = contents.first, contents.last

@@ -16,9 +16,9 @@ from gsvis.abr.holdings import Holdings
 from gsvis.color.srbf import SrbfColors
 from gsvis.errors import ProtocolError
 from gsvis.package.codec import ChunkTable, unpack_bits
+from gsvis.package.rounding import chunks_of
 from gsvis.scene.gaussians import Gaussians
 from gsvis.stream.batch import Sections
-from gsvis.stream.coding import chunks_of
 from gsvis.stream.drawn import Drawn
 from gsvis.stream.header import SceneHeader
 from gsvis.stream.wire import FAULTS, Hello

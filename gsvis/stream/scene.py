@@ -24,9 +24,9 @@ from gsvis.abr.tables import CandidateTables, TableNumbers
 from gsvis.files.cache import Cache
 from gsvis.package.contents import Contents
 from gsvis.package.package import Package
-from gsvis.stream._kernels import records
+from gsvis.package.rounding import Chunks, Quality
 from gsvis.stream.batch import CHUNK_ROW
-from gsvis.stream.coding import Coding, Quality, coarsen
+from gsvis.stream.coding import Coding, coarsen
 from gsvis.stream.header import SceneHeader
 from gsvis.stream.piecewise import SceneTables, make_tables
 from gsvis.stream.source import SceneSource, as_source
@@ -55,14 +55,14 @@ class RecordTables:
     chunks: NDArray[np.int32]
     starts: NDArray[np.int64]
     chunk_rows: NDArray[np.void]
-    chunk_numbers: records.Chunks
+    chunk_numbers: Chunks
     owners: NDArray[np.int32]
     term_records: NDArray[np.uint8]
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> RecordTables:
         """Return the records from the arrays of serving tables."""
-        kind = records.Chunks
+        kind = Chunks
         return cls(
             parts=arrays["parts"],
             chunks=arrays["chunks"],

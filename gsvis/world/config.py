@@ -65,6 +65,8 @@ class WorldConfig:
             raise ValueError("package: expected no level_size, got one; tiles have no photos")
         if (precision := self.package.colors.precision) != "wire":
             raise ValueError(f"package: expected colors of the precision 'wire' in tiles, got {precision!r}")
+        if self.package.colors.record_psnr is not None:
+            raise ValueError("package: expected no record_psnr, got one; records of tiles keep all bits")
         if self.package.color_steps:
             raise ValueError(f"package: expected no color_steps, got {self.package.color_steps}; tiles keep the fit")
         if (levels := self.package.levels) is not None:

@@ -26,12 +26,13 @@ from gsvis.export.start import Start, start_poses
 from gsvis.files.fields import parse_object
 from gsvis.package import ChunkTable, Package, RecordLayout, decode_records
 from gsvis.package.codec import unpack_bits
+from gsvis.package.rounding import chunks_of
 from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
 from gsvis.scene.procedural import random_scene
 from gsvis.scene.sh import SH_C0
-from gsvis.stream.coding import Coding, chunks_of, table_sizes
+from gsvis.stream.coding import Coding, table_sizes
 from gsvis.stream.tables import Tables
 from tests.package.worlds import levels_of
 from tests.stream.worlds import package_of

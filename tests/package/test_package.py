@@ -265,7 +265,7 @@ def test_a_manifest_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
     written(tmp_path / "s", 60, stores=True).close()
     reread(tmp_path / "s", lambda value: None)
     for change, message in (
-        (lambda v: v.update(version=4), "update gsvis"),
+        (lambda v: v.update(version=5), "update gsvis"),
         (lambda v: v.update(version=1), "prepare the package again"),
         (lambda v: v.update(version=0), "version"),
         (lambda v: v.update(format="other"), "is this a package"),

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gsvis.abr.classes import FieldOfView
 from gsvis.color.records import Grids
 from gsvis.errors import ProtocolError
 from gsvis.package import Contents, base_rgb
 from gsvis.package.codec import ChunkTable
 from gsvis.package.layout import RecordLayout, TermLayout
+from gsvis.package.rounding import Quality, chunks_of, sizes_of
+from gsvis.stream import Receiver, Session, StreamedScene
 from gsvis.stream._kernels import coder, records, terms
-from gsvis.stream.coding import Coding, Quality, Steps, chunks_of, coarsen, sizes_of, table_sizes
+from gsvis.stream.coding import Coding, Steps, coarsen, table_sizes
 from gsvis.stream.reference import PlainReader, longest_step, read_record, read_term, table_slots
 from gsvis.stream.tables import MOST_LEVEL, Tables
 from tests.package.worlds import colors_of, levels_of, without_wide_places
+from tests.stream.worlds import package_of
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -226,3 +231,27 @@ def test_coarse_records_are_shorter_and_near(variant: str) -> None:
 
 def test_kernels_have_as_many_tables_as_there_are_sizes() -> None:
     assert len(table_sizes(contents_of("rgb").grids)) == records.TABLES + terms.TABLES
+
+
+@pytest.mark.parametrize("place", [-2.0, None])
+def test_a_stream_of_a_rounded_package_brings_its_records(tmp_path: Path, place: float | None) -> None:
+    """It leaves out what they lack, and so takes fewer bytes."""
+    sizes = []
+    for name, quality in (("whole", None), ("rounded", Quality(place=place))):
+        with package_of(tmp_path / f"{name}.gsvis", 800, lattice=True, stores=False, quality=quality) as package:
+            scene = StreamedScene.open(package)
+            session = Session(scene, FieldOfView.from_degrees(110, 90))
+            session.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
+            message = session.next_message(0.0, 1e6)
+            assert message is not None
+            receiver = Receiver(scene.header)
+            receiver.receive(message.data)
+            contents = package.contents
+        assert (scene.about.steps is None) == (quality is None)
+        order = np.argsort(receiver.shown())
+        g, _ = receiver.scene()
+        expected = contents.gaussians(receiver.shown()[order])
+        for field in ("means", "quats", "scales", "opacities"):
+            np.testing.assert_array_equal(getattr(g, field)[order], getattr(expected, field))
+        sizes.append(len(message.data))
+    assert sizes[1] < sizes[0]

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numba import njit
 
 from gsvis.package.layout import RecordLayout, TermLayout
+from gsvis.package.rounding import chunks_of
 from gsvis.stream._kernels import coder, records
-from gsvis.stream.coding import chunks_of
 from tests.package.worlds import without_wide_places
 from tests.stream.test_coding import SEEDS, any_code, coded, contents_of, hostile_table
 

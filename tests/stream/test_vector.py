@@ -22,8 +22,8 @@ from gsvis.abr.batches import Batch
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.color.evaluate import evaluate
+from gsvis.package.rounding import Quality
 from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Session, StreamedScene, parse_client
-from gsvis.stream.coding import Quality
 from gsvis.stream.header import SceneHeader
 
 EYE = [0.25, -1.5, 0.5]

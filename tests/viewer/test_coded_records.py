@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gsvis.abr.classes import FieldOfView
+from gsvis.package import Contents
 from gsvis.stream import Quality, Receiver, Session, StreamedScene
 from tests.stream.worlds import package_of
 from tests.viewer.bundles import NEEDS_NODE, bundle
@@ -28,14 +29,27 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_page_decodes_what_the_package_has(
     program: Path, tmp_path: Path, variant: str, quality: Quality | None, lattice: bool
 ) -> None:
-    with package_of(tmp_path / "s.gsvis", 3000, variant, stores=False, lattice=lattice) as package:
+    contents = decode_in_page(program, tmp_path, variant, lattice, quality, None)
+    assert contents.table.logarithmic.any() == (lattice and quality is None)
+
+
+@pytest.mark.parametrize("quality", [Quality(), Quality(place=None)])
+def test_the_page_decodes_rounded_records(program: Path, tmp_path: Path, quality: Quality) -> None:
+    contents = decode_in_page(program, tmp_path, "rgb", True, None, quality)
+    assert contents.table.logarithmic.any() == (quality.place is None)
+
+
+def decode_in_page(
+    program: Path, tmp_path: Path, variant: str, lattice: bool, quality: Quality | None, rounded: Quality | None
+) -> Contents:
+    """Send some records of a package to the page, compare what it decodes, and return all records as sent."""
+    with package_of(tmp_path / "s.gsvis", 3000, variant, stores=False, lattice=lattice, quality=rounded) as package:
         scene = StreamedScene.open(package, quality=quality)
         session = Session(scene, FieldOfView.from_degrees(110, 90))
         session.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
         message = session.next_message(0.0, 60_000.0)
         assert message is not None
         contents = scene.contents
-    assert contents.table.logarithmic.any() == (lattice and quality is None)
     received = Receiver(scene.header).receive(message.data)
     assert min(len(received.gaussians), len(received.terms)) > 200
     for name, data in (("welcome", scene.header), ("batch", message.data)):
@@ -50,3 +64,4 @@ def test_the_page_decodes_what_the_package_has(
     width = contents.term_records.shape[1]
     np.testing.assert_array_equal(terms[:, :width], contents.term_records[received.terms])
     assert not terms[:, width:].any()
+    return contents

@@ -132,6 +132,8 @@ def test_options_that_tiles_do_not_take_are_refused() -> None:
         replace(cities.config(), package=coarse)
     with pytest.raises(ValueError, match="package: expected no color_steps, got 7; tiles keep the fit"):
         replace(cities.config(), package=replace(package, color_steps=7))
+    with pytest.raises(ValueError, match="package: expected no record_psnr, got one; records of tiles keep all bits"):
+        replace(cities.config(), package=replace(package, colors=replace(package.colors, record_psnr=48.0)))
 
 
 @pytest.mark.parametrize("loss", [0.5, float("inf")])

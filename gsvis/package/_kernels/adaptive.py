@@ -116,3 +116,30 @@ def _read_tree(low, span, at, chances, start, bits, data):
             at = at + 1
         node = node << np.uint64(1) | np.uint64(bit)
     return np.int64(node) - (1 << bits), low, span, at
+
+
+@inner(forceinline=True)
+def code_raw(low, span, at, value, bits, data, writing):
+    """Write or read a value of 0 to 16 bits, all values alike; arguments and result as for `code_tree`."""
+    span = span >> np.uint64(bits)
+    if writing:
+        part = span * np.uint64(value)
+        low = low + part
+        if low < part:  # carry
+            last = at - 1
+            while data[last] == np.uint32(0xFFFFFFFF):
+                data[last] = np.uint32(0)
+                last -= 1
+            data[last] += np.uint32(1)
+    else:
+        value = min(np.int64(low // span), (np.int64(1) << bits) - 1)
+        low = low - span * np.uint64(value)
+    if span < _LEAST:
+        span = span << _WORD
+        if writing:
+            data[at] = np.uint32(low >> _WORD)
+            low = low << _WORD
+        else:
+            low = low << _WORD | (np.uint64(data[at]) if at < len(data) else np.uint64(0))
+        at = at + 1
+    return value, low, span, at

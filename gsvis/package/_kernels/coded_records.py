@@ -2,8 +2,8 @@
 
 Gaussians of a chunk are sorted by strength, so the strength of the one before, with the opacity and the shape, predicts
 the largest scale. The upper bits of a place are coded as a path through an octree of the chunk's box, with
-probabilities by how many earlier Gaussians took each branch. The lower bits are noise and are stored uncoded. All
-arithmetic is in integers.
+probabilities by how many earlier Gaussians took each branch. The lower bits are noise and are stored uncoded. Bits that
+rounded records lack are neither coded nor stored. All arithmetic is in integers.
 """
 
 from __future__ import annotations
@@ -15,15 +15,26 @@ from numpy.typing import NDArray
 
 from gsvis._kernels.compiled import inner, kernel, njit
 from gsvis._kernels.records import put, take, weight
-from gsvis.package._kernels.adaptive import START, begin, code_tree, end
+from gsvis._kernels.rounding import (
+    MOST_ROUNDED,
+    TURNS,
+    Limits,
+    bits_to_round,
+    light_of,
+    place_limit,
+    turn_bits,
+)
+from gsvis.package._kernels.adaptive import START, begin, code_raw, code_tree, end
 
 DEPTH = 12  # bits of the path in the octree
 STEPS = 6  # bits of the largest scale minus its prediction; the highest value means that the scale follows whole
 BELOW = 47  # value 0 stands for the prediction minus this
 _GRADES = 10  # grades of counts, see `_grade`
 _CONTEXTS = 16 + 128 + 8  # contexts of the second, third and fourth component of a color
-_SHAPE = 256 + 64  # probabilities of opacity and order, which come first
-_ZERO, _ONE, _THREE, _EIGHT, _STEPS, _THIRD = np.array([0, 1, 3, 8, STEPS, _SHAPE])
+_CLASSES = 1 + MOST_ROUNDED  # numbers of bits that a value may lack
+_ORDERS = 256 * _CLASSES  # probabilities of opacity, which come first
+_SHAPE = _ORDERS + 64  # those of opacity and order
+_ONE, _THREE, _EIGHT, _STEPS = np.array([1, 3, 8, STEPS])
 """Numbers with a type: numba would compile the called function again for each literal."""
 
 # indices of the fields of a record
@@ -47,6 +58,8 @@ class Fields(NamedTuple):
         scale: Bits of a log-scale.
         colors: Bytes of the base color, 3 or 4.
         counts: Bits of the number of terms, 0 to 8.
+        coarse: Whether records are rounded.
+        limits: How they are rounded.
         logs: (256,) int32, 64 log2 of an opacity of 0 to 255.
         sums: (S,) int32, 64 log2(1 + 2^(-i / 64)).
     """
@@ -56,16 +69,27 @@ class Fields(NamedTuple):
     scale: int
     colors: int
     counts: int
+    coarse: bool
+    limits: Limits
     logs: NDArray[np.int32]
     sums: NDArray[np.int32]
 
 
 class Rows(NamedTuple):
-    """Rows of chunks: (C,) int64 lows, strides and numbers of Gaussians, and (C, 3) int64 bits of places."""
+    """Rows of C chunks.
+
+    Attributes:
+        lows: (C,) int64, see `ChunkTable`.
+        strides: (C,) int64, see `ChunkTable`.
+        counts: (C,) int64, numbers of Gaussians.
+        steps: (C, 3) int64, see `Chunks`.
+        bits: (C, 3) int64, bits of places.
+    """
 
     lows: NDArray[np.int64]
     strides: NDArray[np.int64]
     counts: NDArray[np.int64]
+    steps: NDArray[np.int64]
     bits: NDArray[np.int64]
 
 
@@ -173,41 +197,103 @@ def _put_record(words, i, fields, wide, v, low_bits, bits):
 
 
 @inner
-def _code_color(low, span, at, chances, start, c, colors, data, writing):
-    """Write or read the components c of a base color, and return the state of the coder.
+def _code_color(low, span, at, chances, start, c, colors, tint, data, writing):
+    """Write or read the components c of a base color, which lack `tint` bits, and return the state of the coder.
 
     Of three components the second is coded first, and the others as differences from it. Of four, the third is first.
     """
+    bits = _EIGHT - tint
+    start = start + 256 * (1 + _CONTEXTS) * tint
     lead = 1 if colors == 3 else 2
-    c[lead], low, span, at = code_tree(low, span, at, chances, start, c[lead], _EIGHT, data, writing)
+    value, low, span, at = code_tree(low, span, at, chances, start, c[lead] >> tint, bits, data, writing)
+    c[lead] = value << tint
     base = c[lead] if colors == 3 else 0
     start = start + 256
-    value = (c[0] - base) & 255
+    value = ((c[0] - base) & 255) >> tint
     tree = start + 256 * (c[lead] >> 4)
-    second, low, span, at = code_tree(low, span, at, chances, tree, value, _EIGHT, data, writing)
+    value, low, span, at = code_tree(low, span, at, chances, tree, value, bits, data, writing)
+    second = value << tint
     start += 256 * 16
-    value = (c[3 - lead] - base) & 255
+    value = ((c[3 - lead] - base) & 255) >> tint
     tree = start + 256 * (second >> 1)
-    third, low, span, at = code_tree(low, span, at, chances, tree, value, _EIGHT, data, writing)
+    value, low, span, at = code_tree(low, span, at, chances, tree, value, bits, data, writing)
+    third = value << tint
     start += 256 * 128
     if colors == 4:
         tree = start + 256 * (c[lead] >> 5)
-        c[3], low, span, at = code_tree(low, span, at, chances, tree, c[3], _EIGHT, data, writing)
+        value, low, span, at = code_tree(low, span, at, chances, tree, c[3] >> tint, bits, data, writing)
+        c[3] = value << tint
     c[0] = (second + base) & 255
     c[3 - lead] = (third + base) & 255
     return low, span, at
 
 
 @inner(forceinline=True)
-def _code_shape(low, span, at, chances, fields, before, v, data, writing):
-    """Write or read opacity, order and ratios of the scales; `before` is the order of the last record."""
+def _code_shape(low, span, at, chances, fields, before, area, v, data, writing):
+    """Write or read opacity, order and ratios of the scales.
+
+    Args:
+        low: State of the coder, as `span` and `at`; see `code_tree`.
+        span: See `low`.
+        at: See `low`.
+        chances: Probabilities.
+        fields: Layout of records.
+        before: Order of the last record.
+        area: Logarithm of the area of its outline, from which follows how many bits this record is likely to lack.
+        v: Fields of this record.
+        data: The words.
+        writing: Whether to write.
+    """
     scale = fields.scale
-    v[_OPACITY], low, span, at = code_tree(low, span, at, chances, _ZERO, v[_OPACITY], _EIGHT, data, writing)
-    place = 256 + 8 * before
+    place = 256 * bits_to_round(fields.limits.opacity, area) if fields.coarse else np.int64(0)
+    v[_OPACITY], low, span, at = code_tree(low, span, at, chances, place, v[_OPACITY], _EIGHT, data, writing)
+    place = _ORDERS + 8 * before
     v[_ORDER], low, span, at = code_tree(low, span, at, chances, place, v[_ORDER], _THREE, data, writing)
-    v[_MIDDLE], low, span, at = code_tree(low, span, at, chances, _THIRD, v[_MIDDLE], scale, data, writing)
-    place = _SHAPE + (1 << scale)
+    light = area + 2 * fields.logs[v[_OPACITY]]
+    lacking = bits_to_round(fields.limits.shape, light) if fields.coarse else np.int64(0)
+    place = _SHAPE + (2 * lacking << scale)
+    v[_MIDDLE], low, span, at = code_tree(low, span, at, chances, place, v[_MIDDLE], scale, data, writing)
+    place += np.int64(1) << scale
     v[_SMALLEST], low, span, at = code_tree(low, span, at, chances, place, v[_SMALLEST], scale, data, writing)
+    return low, span, at
+
+
+@inner(forceinline=True)
+def _code_turns(low, span, at, chances, start, fields, turn, v, data, writing):
+    """Write or read the components of the quaternion, which lack `turn` bits; return the state of the coder."""
+    rotation = fields.rotation
+    half = (np.int64(1) << (rotation - 1)) - 1
+    mask = (np.int64(1) << rotation) - 1
+    for k in range(3):
+        tree = start + ((TURNS * k + turn) << rotation)
+        value = ((v[_ROTATION + k] - half) >> turn) + half
+        value, low, span, at = code_tree(low, span, at, chances, tree, value, rotation, data, writing)
+        v[_ROTATION + k] = (((value - half) << turn) + half) & mask
+    return low, span, at
+
+
+@inner(forceinline=True)
+def _code_low_bits(low, span, at, rows, row, limit, low_bits, data, writing):
+    """Write or read the lower bits (3,) of a place in a chunk as far as rounded records have them; return the state.
+
+    Args:
+        low: State of the coder, as `span` and `at`; see `code_tree`.
+        span: See `low`.
+        at: See `low`.
+        rows: Rows of chunks.
+        row: The chunk.
+        limit: log2 of the longest step of a coordinate.
+        low_bits: The lower bits.
+        data: The words.
+        writing: Whether to write.
+    """
+    for k in range(3):
+        below = max(rows.bits[row, k] - DEPTH // 3, 0)
+        lacking = min(max(limit - rows.steps[row, k], 0), below)
+        value = np.int64(low_bits[k]) >> lacking
+        value, low, span, at = code_raw(low, span, at, value, below - lacking, data, writing)
+        if not writing:
+            low_bits[k] = np.uint16(value << lacking)
     return low, span, at
 
 
@@ -215,7 +301,7 @@ def _code_shape(low, span, at, chances, fields, before, v, data, writing):
 def _code_top(low, span, at, chances, fields, expected, top, data, writing):
     """Write or read the largest scale, relative to the expected one unless that is -1; return it and the state."""
     scale = fields.scale
-    whole = _SHAPE + (2 << fields.scale)
+    whole = _SHAPE + (2 * _CLASSES << fields.scale)
     other = (1 << STEPS) - 1
     if expected >= 0:
         off = top - expected + BELOW
@@ -234,7 +320,7 @@ def code(words, terms, low_bits, rows, fields, data, writing):
     Args:
         words: (G, 2) uint64, the records.
         terms: (G,) uint8, number of terms of each.
-        low_bits: (G, 3) uint16, the bits of places below the octree, which are not coded.
+        low_bits: (G, 3) uint16, the bits of places below the octree, which are not coded unless records are rounded.
         rows: Rows of the chunks of the part, G Gaussians in all.
         fields: Layout of the records.
         data: (W,) uint32, the words; long enough when writing.
@@ -244,16 +330,18 @@ def code(words, terms, low_bits, rows, fields, data, writing):
         The number of words; -1 if not all words were read.
     """
     scale = fields.scale
-    rotation = fields.rotation
-    rotations = _SHAPE + (3 << scale) + (1 << STEPS)
-    colors = rotations + (3 << rotation)
-    paths = colors + 256 * (1 + _CONTEXTS)
+    rotations = _SHAPE + ((2 * _CLASSES + 1) << scale) + (1 << STEPS)
+    colors = rotations + (3 * TURNS << fields.rotation)
+    paths = colors + 256 * (1 + _CONTEXTS) * _CLASSES
     counts = paths + DEPTH * _GRADES * _GRADES
     chances = np.full(counts + 256 * 10, START, np.uint32)
     nodes = np.full((1 << DEPTH, 3), -1, np.int64)
     v = np.zeros(_FIELDS, np.int64)
     i = np.int64(0)
     count = np.int64(0)
+    area = np.int64(0)
+    turn = np.int64(0)
+    tint = np.int64(0)
     most = (1 << fields.counts) - 1
     color = v[_COLOR : _COLOR + 4]
     bits = np.zeros(2, np.uint64)
@@ -269,20 +357,27 @@ def code(words, terms, low_bits, rows, fields, data, writing):
             if writing:
                 _take_record(words, i, fields, wide, v, low_bits)
                 count = np.int64(terms[i])
-            low, span, at = _code_shape(low, span, at, chances, fields, before, v, data, writing)
+            low, span, at = _code_shape(low, span, at, chances, fields, before, area, v, data, writing)
             strong = weight(v[_MIDDLE], v[_SMALLEST], v[_OPACITY], stride, fields.logs, fields.sums)
             expected = np.int64(-1)
             if place:
                 expected = min(max((((strength - strong) >> 1) - least) // stride, 0), (1 << scale) - 1)
             v[_TOP], low, span, at = _code_top(low, span, at, chances, fields, expected, v[_TOP], data, writing)
-            strength = 2 * (least + v[_TOP] * stride) + strong
-            for k in range(_ROTATION, _ROTATION + 3):
-                tree = rotations + ((k - _ROTATION) << rotation)
-                v[k], low, span, at = code_tree(low, span, at, chances, tree, v[k], rotation, data, writing)
-            low, span, at = _code_color(low, span, at, chances, colors, color, fields.colors, data, writing)
+            size = least + v[_TOP] * stride
+            strength = 2 * size + strong
+            long = v[_MIDDLE] * stride
+            area = 2 * size - long
+            if fields.coarse:
+                turn = turn_bits(size, long, fields.limits.turn)
+                tint = bits_to_round(fields.limits.color, light_of(size, long, v[_OPACITY], fields.logs))
+            low, span, at = _code_turns(low, span, at, chances, rotations, fields, turn, v, data, writing)
+            low, span, at = _code_color(low, span, at, chances, colors, color, fields.colors, tint, data, writing)
             v[_PATH], low, span, at = _code_path(low, span, at, chances, paths, v[_PATH], nodes, row, data, writing)
             tree = counts + 256 * few
             count, low, span, at = code_tree(low, span, at, chances, tree, count, fields.counts, data, writing)
+            if fields.coarse:
+                limit = place_limit(size, long, v[_OPACITY], fields.limits.place, fields.logs)
+                low, span, at = _code_low_bits(low, span, at, rows, row, limit, low_bits[i], data, writing)
             if not writing:
                 _put_record(words, i, fields, wide, v, low_bits, bits)
                 terms[i] = np.uint8(count)

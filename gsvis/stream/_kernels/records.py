@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.records import put, take, weight
+from gsvis._kernels.rounding import TURNS, place_limit, turn_bits
 from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol, push_bits, push_symbol, put_states
 
 MOST_OPERATIONS = 17  # most operations of the coder for a record
@@ -24,7 +25,6 @@ ROW = 16  # fields of a record, see `split`
 OPACITY, ORDER, MIDDLE, SMALLEST, FIRST = range(5)
 LARGEST = 5  # six tables: by the distance of the id before
 ROTATION = 11  # for each of three components, `TURNS` tables: by the bits that are not sent
-TURNS = 8
 COLOR = ROTATION + 3 * TURNS  # one table
 SECOND = COLOR + 1  # eight tables: by the first component
 THIRD = COLOR + 9  # 17 tables: by the second component
@@ -33,10 +33,6 @@ TABLES = COLOR + 34  # number of tables
 
 STEPS = 64  # symbols of the largest scale; after the last one the scale follows in raw bits
 BELOW = 47  # symbol 0 stands for the predicted scale minus this
-
-# typed, because numba compiles a function again for a literal
-_NONE = np.int64(0)
-_BYTE = np.int64(255)
 
 
 class Layout(NamedTuple):
@@ -48,8 +44,8 @@ class Layout(NamedTuple):
         scale: Bits of a log-scale.
         colors: Bytes of the base color, 3 or 4.
         coarse: Whether some bits are not sent.
-        place: Limit of the steps of coordinates, 1/64 octaves; see `_place_limit`.
-        turn: Limit of the steps of the quaternion, 1/64 octaves; see `_turn_bits`.
+        place: Limit of the steps of coordinates, 1/64 octaves; see `place_limit`.
+        turn: Limit of the steps of the quaternion, 1/64 octaves; see `turn_bits`.
         logs: (256,) int32, 64 log2 of an opacity of 0 to 255.
         sums: (S,) int32, 64 log2(1 + 2^(-i / 64)).
         before: (256,) int32, the table for the third component of a color, by the value of the second.
@@ -65,54 +61,6 @@ class Layout(NamedTuple):
     logs: NDArray[np.int32]
     sums: NDArray[np.int32]
     before: NDArray[np.int32]
-
-
-MOST_ROUNDED = 5  # most bits that are rounded of an opacity, a ratio of scales or a byte of color
-
-
-class Rounding(NamedTuple):
-    """How many bits `coarsen` rounds, in 1/64 bits, for a weight of 1; a quarter bit less for each octave of weight.
-
-    Attributes:
-        opacity: Bits of the opacity. Its weight is the area of the outline, scene units squared.
-        shape: Bits of the ratios of the scales. Their weight is that area times the square of the opacity in 255ths.
-        color: Bits of each byte of the color, with the same weight as the ratios.
-    """
-
-    opacity: int
-    shape: int
-    color: int
-
-
-class Chunks(NamedTuple):
-    """Rows of chunks as kernels need them.
-
-    Attributes:
-        lows: (C,) int64, see `ChunkTable`.
-        strides: (C,) int64, see `ChunkTable`.
-        steps: (C, 3) int64, log2 of the longest step of each coordinate, rounded up.
-        bits: (C, 3) int64, bits of a place.
-    """
-
-    lows: NDArray[np.int64]
-    strides: NDArray[np.int64]
-    steps: NDArray[np.int64]
-    bits: NDArray[np.int64]
-
-
-@inner(forceinline=True)
-def _place_limit(size, middle, opacity, stride, layout):
-    """Return log2 of the longest allowed step of a coordinate: shorter for long and for opaque Gaussians."""
-    long = middle * stride
-    return min(layout.place - (long >> 1) - layout.logs[opacity], size - long) >> 6
-
-
-@inner(forceinline=True)
-def _turn_bits(size, middle, stride, layout):
-    """Return how many bits of each quaternion component are not sent: fewer for large and for long Gaussians."""
-    if not layout.coarse:
-        return 0
-    return min(max((layout.turn - (2 * size + middle * stride) // 4) >> 6, 0), TURNS - 1)
 
 
 @inner(forceinline=True)
@@ -149,7 +97,7 @@ def _split_record(low, high, row, chunks, layout, offsets, s, out):
     middle = s[largest] - s[a]
     smallest = s[largest] - s[b]
     size = chunks.lows[row] + s[largest] * stride
-    turn = _turn_bits(size, middle, stride, layout)
+    turn = turn_bits(size, middle * stride, layout.turn) if layout.coarse else np.int64(0)
     out[0], out[1], out[2], out[3] = opacity | order << 8, middle, smallest, s[largest]
     for k in range(3):
         value = ((take(low, high, head + k * width + position, rotation) - half) >> turn) + half
@@ -279,7 +227,8 @@ def operations(parts, ids, rows, chunks, layout, offsets, out):
         limit = np.int64(0)
         opacity = np.int64(parts[i, 0]) & 255
         if layout.coarse:
-            limit = _place_limit(low + top * stride, np.int64(parts[i, 1]), opacity, stride, layout)
+            long = np.int64(parts[i, 1]) * stride
+            limit = place_limit(low + top * stride, long, opacity, layout.place, layout.logs)
         for k in range(3):
             left = bits[row, k]
             if layout.coarse:
@@ -340,7 +289,8 @@ def write(parts, ids, rows, chunks, layout, offsets, inverses, spans, out):
         opacity = np.int64(parts[g, 0]) & 255
         limit = np.int64(0)
         if layout.coarse:
-            limit = _place_limit(low + top * stride, np.int64(parts[g, 1]), opacity, stride, layout)
+            long = np.int64(parts[g, 1]) * stride
+            limit = place_limit(low + top * stride, long, opacity, layout.place, layout.logs)
         for k in range(2, -1, -1):
             wide = widths[row, k]
             cut = min(max(limit - steps[row, k], 0), wide) if layout.coarse else np.int64(0)
@@ -445,7 +395,7 @@ def read(words, ids, rows, chunks, layout, code, out):
         s[a] = (top - middle) & mask
         s[b] = (top - smallest) & mask
         bits[0], bits[1] = np.uint64(opacity), np.uint64(0)
-        turn = _turn_bits(size, middle, stride, layout)
+        turn = turn_bits(size, middle * stride, layout.turn) if layout.coarse else np.int64(0)
         for k in range(3):
             value, x, y, at = next_symbol(words, x, y, at, ROTATION + TURNS * k + turn, slots, tables, offsets, spans)
             value = (((value - half) << turn) + half) & ((1 << rotation) - 1)
@@ -461,7 +411,7 @@ def read(words, ids, rows, chunks, layout, code, out):
         if layout.colors == 4:
             value, x, y, at = next_symbol(words, x, y, at, FOURTH + (first >> 5), slots, tables, offsets, spans)
             put(bits, np.int64(32), value)
-        limit = _place_limit(size, middle, opacity, stride, layout)
+        limit = place_limit(size, middle * stride, opacity, layout.place, layout.logs)
         for k in range(3):
             left = chunks.bits[row, k]
             if layout.coarse:
@@ -470,85 +420,3 @@ def read(words, ids, rows, chunks, layout, code, out):
             put(bits, head + k * width, value << (chunks.bits[row, k] - left))
         out[i, 0], out[i, 1] = bits[0], bits[1]
     return at == len(words) and x == np.uint64(LEAST) and y == np.uint64(LEAST)
-
-
-@kernel
-def coarsen(words, rows, chunks, layout, rounding, out):
-    """Round records: by `rounding`, and to zeros in the bits that a coarse layout does not send.
-
-    Args:
-        words: (N, 2) uint64, records.
-        rows: (N,) int32, row of the chunk of each.
-        chunks: Rows of chunks.
-        layout: Layout of the records.
-        rounding: Bits that are rounded.
-        out: (N, 2) uint64, receives the records.
-    """
-    position = layout.position
-    rotation = layout.rotation
-    scale = layout.scale
-    width = position + rotation + scale
-    head = 8 * (1 + layout.colors)
-    s = np.empty(3, np.int64)
-    bits = np.empty(2, np.uint64)
-    half = (1 << (rotation - 1)) - 1
-    for i in range(len(words)):
-        low = words[i, 0]
-        high = words[i, 1]
-        row = rows[i]
-        stride = chunks.strides[row]
-        opacity = np.int64(low & np.uint64(255))
-        for k in range(3):
-            s[k] = take(low, high, head + k * width + position + rotation, scale)
-        top = max(s[0], s[1], s[2])
-        size = chunks.lows[row] + top * stride
-        area = 2 * size - _middle(s, top) * stride
-        light = area + 2 * layout.logs[opacity]
-        opacity = _round(opacity, _bits_to_round(rounding.opacity, area), _NONE, _BYTE)
-        shape = _bits_to_round(rounding.shape, light)
-        tint = _bits_to_round(rounding.color, light)
-        for k in range(3):  # relative to the largest scale, which is not rounded
-            s[k] = top - _round(top - s[k], shape, _NONE, top)
-        middle = _middle(s, top)
-        bits[0], bits[1] = np.uint64(opacity), np.uint64(0)
-        turn = _turn_bits(size, middle, stride, layout)
-        limit = _place_limit(size, middle, opacity, stride, layout)
-        for k in range(layout.colors):
-            color = np.int64((low >> np.uint64(8 * (1 + k))) & np.uint64(255))
-            put(bits, 8 * (1 + k), _round(color, tint, _NONE, _BYTE))
-        for k in range(3):
-            at = head + k * width
-            wide = chunks.bits[row, k]
-            left_out = min(max(limit - chunks.steps[row, k], 0), wide)
-            put(bits, at, _round(take(low, high, at, position), left_out, _NONE, (np.int64(1) << wide) - 1))
-            put(bits, at + position, _round(take(low, high, at + position, rotation), turn, half, 2 * half + 1))
-            put(bits, at + position + rotation, s[k])
-        out[i, 0], out[i, 1] = bits[0], bits[1]
-
-
-@inner(forceinline=True)
-def _middle(scales, top):
-    """Return the largest of three scales (`top`) minus the middle one."""
-    return 2 * top - scales[0] - scales[1] - scales[2] + min(scales[0], scales[1], scales[2])
-
-
-@inner(forceinline=True)
-def _bits_to_round(limit, weight):
-    """Return how many bits are rounded, for a weight in 1/64 octaves; see `Rounding`."""
-    return min(max((limit - (weight >> 2)) >> 6, _NONE), np.int64(MOST_ROUNDED))
-
-
-@inner(forceinline=True)
-def _round(value, bits, center, most):
-    """Round a value to a multiple of 2^bits from `center`, ties to even, within 0 and `most`."""
-    step = np.int64(1) << bits
-    away = value - center
-    found = (away + (step >> 1)) >> bits
-    if bits and away & (step - 1) == step >> 1 and found & 1:
-        found -= 1
-    found = center + found * step
-    if found > most:
-        found -= step
-    elif found < 0:
-        found += step
-    return found

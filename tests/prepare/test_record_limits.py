@@ -1,0 +1,45 @@
+"""The choice of how coarsely records are rounded: as coarse as a wanted PSNR allows, and not at all where none does."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from gsvis.color.records import QuantizedColors
+from gsvis.color.srbf import SrbfColors
+from gsvis.prepare.record_limits import RecordLimits, choose_limits
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.levels import Levels
+from tests.package.worlds import colors_of, levels_of
+
+
+@cache
+def scene() -> tuple[Levels, SrbfColors, QuantizedColors]:
+    return levels_of(300, 2), *colors_of(300, seed=2)
+
+
+def chosen(wanted: float) -> RecordLimits:
+    eyes = np.array([[4.0, 0.0, 0.5], [0.0, -4.0, 0.0]])
+    cameras = Cameras.look_at(eyes, np.zeros((2, 3)), width=48, height=36)
+    return choose_limits(*scene(), (cameras[:1], cameras[1:]), wanted)
+
+
+def test_less_psnr_gives_coarser_records() -> None:
+    fine, coarse = chosen(46.0), chosen(38.0)
+    assert fine.limits is not None
+    assert coarse.limits is not None
+    assert coarse.finer < fine.finer
+    assert fine.psnr >= 46.0
+    assert coarse.psnr >= 38.0
+    assert min(fine.worst + 5.0 - 46.0, coarse.worst + 5.0 - 38.0) >= 0.0
+
+
+def test_records_keep_all_bits_where_no_rounding_is_fine_enough() -> None:
+    assert chosen(90.0).limits is None
+
+
+def test_a_camera_is_needed() -> None:
+    with pytest.raises(ValueError, match="cameras"):
+        choose_limits(*scene(), (), 40.0)
