@@ -221,6 +221,7 @@ PAGES = {
             "static_site",
             "static_site_nika",
             "static_site_bonsai",
+            "supersplat_settings",
             "static_order",
             "bare_site",
             "bare_order",
