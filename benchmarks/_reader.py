@@ -10,7 +10,7 @@ from pathlib import Path
 __all__ = ["VIEWER", "build_reader"]
 
 VIEWER = Path(__file__).resolve().parents[1] / "viewer"
-_PLAN = "src/core/static-plan.ts"
+_RULES = ("src/core/static-plan.ts", "src/core/static-glances.ts")
 
 
 def build_reader(folder: Path, name: str, **constants: float) -> Path:
@@ -19,7 +19,7 @@ def build_reader(folder: Path, name: str, **constants: float) -> Path:
     Args:
         folder: A folder that exists.
         name: What the script is called; other readers in the folder have other names.
-        constants: Values for constants of static-plan.ts.
+        constants: Values for constants of static-plan.ts and static-glances.ts.
 
     Raises:
         ValueError: If there is no such constant.
@@ -27,13 +27,16 @@ def build_reader(folder: Path, name: str, **constants: float) -> Path:
     work = folder / f"{name}-sources"
     for part in ("src", "tools"):
         shutil.copytree(VIEWER / part, work / part)
-    plan = work / _PLAN
-    text = plan.read_text(encoding="utf-8")
+    texts = {rule: (work / rule).read_text(encoding="utf-8") for rule in _RULES}
     for key, value in constants.items():
-        text, count = re.subn(rf"const {key} = [\d.]+;", f"const {key} = {value:g};", text)
-        if count != 1:
-            raise ValueError(f"{key}: expected a constant of {_PLAN}, found {count}")
-    plan.write_text(text, encoding="utf-8")
+        found = 0
+        for rule, text in texts.items():
+            texts[rule], count = re.subn(rf"const {key} = [\d.]+;", f"const {key} = {value:g};", text)
+            found += count
+        if found != 1:
+            raise ValueError(f"{key}: expected a constant of {' or '.join(_RULES)}, found {found}")
+    for rule, text in texts.items():
+        (work / rule).write_text(text, encoding="utf-8")
     script = folder / f"{name}.mjs"
     words = ["npx", "esbuild", str(work / "tools/static-trace.ts"), "--bundle", "--platform=node", "--format=esm"]
     subprocess.run([*words, f"--outfile={script}", "--log-level=error"], cwd=VIEWER, check=True)

@@ -31,10 +31,11 @@ from typing import Any
 import numpy as np
 from _browsers import visits
 from _harness import add_arguments, first_reaching, need, realdata, write_result
+from _reader import VIEWER
 from _slow_host import Host, slow_host
 from static_seconds import _WATCH, SIZE, TARGETS, WIDE, drawn_views, seconds_until, spell, summarize
 from static_seconds import address as address_of
-from static_site import VIEWER, Eye, camera_of, name_arrivals, package_ids
+from static_site import Eye, camera_of, name_arrivals, package_ids
 
 from gsvis.color.evaluate import Evaluator
 from gsvis.export import write_site

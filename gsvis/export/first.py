@@ -27,6 +27,7 @@ __all__ = ["FirstViews"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+Useful = tuple[I64, F64]
 
 _VIEW = FieldOfView(1.15, 1.15, 0.64, 0.64, margin=0.14)  # 16 to 9, 65 degrees high
 _WIDTH = 640  # pixels of the picture that ranks Gaussians
@@ -76,9 +77,31 @@ class FirstViews:
         order = np.argsort(-lights, kind="stable")
         share = np.cumsum(lights[order]) / max(lights.sum(), 1e-300)
         order = order[: int(np.searchsorted(share, _ENOUGH)) + 1]
-        ids = ids[order]
-        pieces = [self._left(light, ids)]
-        return b"".join([*pieces, *self._pieces(ids, lights[order], *self._terms(eye, light, ids), most)])
+        useful = self.useful_terms(self.lights.grid.nearest(eye), eye, light)
+        return self.encode_some(light, ids[order], lights[order], useful, most)
+
+    def useful_terms(self, cell: int, eye: F64, light: CellLight) -> Useful:
+        """Return the terms (T,) of the package that are active in a cell, and the worth of each at an eye."""
+        if self.worth is None:
+            return np.zeros(0, np.int64), np.zeros(0)
+        return self.worth.of_terms(cell, eye, light)
+
+    def encode_some(self, light: CellLight, ids: I64, lights: F64, useful: Useful, most: int) -> bytes:
+        """Return a file with Gaussians and those of their terms that are of use, of about `most` bytes at most.
+
+        Args:
+            light: What the cell of the file sees.
+            ids: (M,) ids of the static form, the most useful first.
+            lights: (M,) what each is worth.
+            useful: Terms and their worth, from `useful_terms`.
+            most: Bytes at most, about.
+        """
+        if not len(ids):
+            return b""
+        every, is_term, sizes = self._ranked(ids, lights, *self._terms(ids, useful))
+        end = int(np.searchsorted(sizes, most)) + 1
+        here = every[:end][~is_term[:end]]
+        return b"".join([self._left(light, here), *self._pieces(every[:end], is_term[:end], sizes[:end])])
 
     def _in_view(self, start: Start) -> tuple[I64, F64]:
         """Return the ids of the static form that a view shows, and the weight times solid angle of each, drawn exactly.
@@ -90,12 +113,11 @@ class FirstViews:
         ids = np.flatnonzero(weights > 0.0)
         return ids, weights[ids] / float(camera.Ks[0, 0, 0] * camera.Ks[0, 1, 1])
 
-    def _terms(self, eye: F64, light: CellLight, ids: I64) -> tuple[I64, F64]:
-        """Return the terms (M,) of Gaussians `ids` that are of use to an eye, and the worth of a byte of each."""
-        none = np.zeros(0, np.int64), np.zeros(0)
+    def _terms(self, ids: I64, useful: Useful) -> tuple[I64, F64]:
+        """Return those useful terms (M,) that Gaussians `ids` have, and the worth of a byte of each."""
+        terms, values = useful
         if self.worth is None:
-            return none
-        terms, values = self.worth.of_terms(self.lights.grid.nearest(eye), eye, light)
+            return terms, values
         placed = self.placing.placed[self.worth.owners[terms]]
         here = np.zeros(len(self.coder.contents) + 1, np.bool_)
         here[ids] = True
@@ -104,8 +126,8 @@ class FirstViews:
         numbers = self.worth.numbers(terms[kept])
         return offsets[placed[kept]] + numbers, values[kept] / _TERM
 
-    def _pieces(self, ids: I64, lights: F64, terms: I64, values: F64, most: int) -> Iterator[bytes]:
-        """Yield pieces with Gaussians and terms, those of most worth a byte first, of about `most` bytes in all."""
+    def _ranked(self, ids: I64, lights: F64, terms: I64, values: F64) -> tuple[I64, NDArray[np.bool_], F64]:
+        """Return Gaussians and terms, those of most worth a byte first; which are terms; and the bytes up to each."""
         owners = np.repeat(np.arange(len(self.coder.contents)), self.coder.contents.term_counts)[terms]
         worth_of = np.zeros(len(self.coder.contents))
         worth_of[ids] = lights / _RECORD
@@ -113,13 +135,15 @@ class FirstViews:
         every = np.concatenate([ids, terms])
         is_term = np.repeat([False, True], [len(ids), len(terms)])
         order = np.lexsort((is_term, -keys))
-        every = every[order]
         is_term = is_term[order]
-        sizes = np.cumsum(np.where(is_term, _TERM, _RECORD))
+        return every[order], is_term, np.cumsum(np.where(is_term, _TERM, _RECORD))
+
+    def _pieces(self, every: I64, is_term: NDArray[np.bool_], sizes: F64) -> Iterator[bytes]:
+        """Yield pieces with all that is ranked."""
         known = np.zeros(len(self.coder.contents.table), np.bool_)
         at = 0
         size = _PIECE[0]
-        while at < len(every) and sizes[at] < most:
+        while at < len(every):
             end = int(np.searchsorted(sizes, sizes[at] + size)) + 1
             some = every[at:end]
             mask = is_term[at:end]

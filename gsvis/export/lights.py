@@ -51,11 +51,15 @@ class DrawnLight(NamedTuple):
 
     Attributes:
         light: What the cell sees.
-        drawn: (V,) the part of `light.lights` that pictures add.
+        drawn: (V,) the part of `light.lights` that pictures add: the mean over eyes.
+        eyes: (E, 3) the eyes of the pictures.
+        by_eye: (E, V) the light that the pictures around each of them show.
     """
 
     light: CellLight
     drawn: F64
+    eyes: F64
+    by_eye: F64
 
 
 class Lights:
@@ -109,9 +113,10 @@ class Lights:
         spread = np.random.default_rng(cell).uniform(-_REACH, _REACH, (_EYES, 3))
         eyes = self.grid.centers[cell] + self.grid.cell_size * spread
         faces = view_weights(self._g[ids[kept]], Cameras.cubemap(eyes, _SIZE)).summed
-        drawn = np.zeros(len(ids))
-        drawn[kept] = faces.sum(axis=0, dtype=np.float64) * 4.0 / (_SIZE * _SIZE * _EYES)
-        return DrawnLight(CellLight(ids, _STATED * lights + drawn), drawn)
+        by_eye = np.zeros((_EYES, len(ids)))
+        by_eye[:, kept] = faces.reshape(_EYES, 6, len(kept)).sum(axis=1, dtype=np.float64) * 4.0 / (_SIZE * _SIZE)
+        drawn = by_eye.mean(axis=0)
+        return DrawnLight(CellLight(ids, _STATED * lights + drawn), drawn, eyes, by_eye)
 
     def of_eye(self, eye: F64) -> CellLight:
         """Return what the cell of an eye sees, from this eye."""

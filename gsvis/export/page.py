@@ -240,7 +240,7 @@ def write_html(
     files = _viewer_files(VIEWER if viewer is None else Path(viewer))
     with temporary_folder() as made_in:
         with output_errors(made_in, remedy=TEMPORARY):
-            small = replace(options or StaticOptions(), most_walk=_MOST_WALK, most_first=0)
+            small = replace(options or StaticOptions(), most_walk=_MOST_WALK, most_first=0, most_glances=0.0)
             found = write_static(Path(made_in) / FOLDER, scene, small, progress=progress)
         document = json.loads(read_whole(found.path / SCENE))
         style, script, *parts = (_inline(files[name].decode()) for name in ("page.css", "page.js", *_PARTS))

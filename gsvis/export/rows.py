@@ -1,14 +1,15 @@
 """Write the rows of the cells of a static scene: the parts that each cell sees, and what they are worth there.
 
 A row has a bitmap of parts, lowest bit first; then a byte for the gain of each of these parts; where the scene has
-active terms, a byte for what the terms of each are worth; and four bytes for the sphere in which the light of each is,
-as pictures in the cell show it. A scene without visible sets has one cell that sees everything, from nowhere, without
-spheres.
+active terms, a byte for what the terms of each are worth; four bytes for the sphere in which the light of each is, as
+pictures in the cell show it; and the bytes of the glances of the cell. A scene without visible sets has one cell that
+sees everything, from nowhere, without spheres and glances.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from gsvis.package.package import Package
 from gsvis.progress import Progress
 from gsvis.pvs.cells import CellGrid
 from gsvis.scene.gaussians import Gaussians
+
+if TYPE_CHECKING:
+    from gsvis.export.glances import Glances
 
 __all__ = ["CellRows", "SeenSpheres", "TermWorth", "rows_of_package", "rows_of_scene"]
 
@@ -42,12 +46,14 @@ class CellRows:
         top: Quarters of an octave of the gain that byte 255 stands for.
         active: Whether rows hold the worth of terms.
         rows: The row of each cell.
+        glances: The files of all sectors of the first cell, then of the next; empty without glances.
     """
 
     grid: CellGrid | None
     top: int
     active: bool
     rows: tuple[bytes, ...]
+    glances: tuple[bytes, ...] = ()
 
     def index(self) -> bytes:
         """Return the content of `grid`: the box of each cell, and the bytes of its row."""
@@ -69,7 +75,12 @@ def rows_of_scene(gains: F64, part_of: I64) -> CellRows:
 
 
 def rows_of_package(
-    lights: Lights, worth: TermWorth | None, part_of: I64, spheres: SeenSpheres, progress: Progress
+    lights: Lights,
+    worth: TermWorth | None,
+    part_of: I64,
+    spheres: SeenSpheres,
+    glances: Glances | None,
+    progress: Progress,
 ) -> CellRows:
     """Return a row for each cell.
 
@@ -78,20 +89,25 @@ def rows_of_package(
         worth: What terms are worth; None if cells do not choose terms.
         part_of: (N,) the part of each Gaussian, -1 for those that have none.
         spheres: Finds where the light of parts is.
+        glances: Makes the glances of cells; None for none.
         progress: Called with stage "sets", in cells.
     """
     count = int(part_of.max()) + 1
     top = int(np.ceil(GAIN_STEPS * np.log2(_MOST_LIGHT * SPHERE)))
     rows = []
+    files: list[bytes] = []
     progress("sets", 0, len(lights))
     for cell in range(len(lights)):
         found = lights.drawn_in(cell, part_of >= 0)
         gains = gains_of_parts(found.light, part_of, count)
         seen = gains > 0
         terms = b"" if worth is None else worth.of_parts(cell, found.light, part_of, count)[seen].tobytes()
-        rows.append(_row(gains, seen, top, terms, spheres.of_cell(found, part_of)[seen].T.tobytes()))
+        looks = [] if glances is None else glances.of_cell(cell, found)
+        files += looks
+        more = spheres.of_cell(found, part_of)[seen].T.tobytes() + column([len(look) for look in looks], 4)
+        rows.append(_row(gains, seen, top, terms, more))
         progress("sets", cell + 1, len(lights))
-    return CellRows(lights.grid, top, worth is not None, tuple(rows))
+    return CellRows(lights.grid, top, worth is not None, tuple(rows), tuple(files))
 
 
 def gains_of_parts(light: CellLight, part_of: I64, count: int) -> F64:
@@ -188,7 +204,7 @@ class TermWorth:
         return np.where(found > 0, np.clip(octaves, 1, 255), 0).astype(np.uint8)
 
 
-def _row(gains: F64, seen: NDArray[np.bool_], top: int, terms: bytes = b"", spheres: bytes = b"") -> bytes:
+def _row(gains: F64, seen: NDArray[np.bool_], top: int, terms: bytes = b"", more: bytes = b"") -> bytes:
     """Return the row of a cell, compressed."""
     bits = np.packbits(seen, bitorder="little")
-    return compress(bits.tobytes(), quantize_gains(gains[seen], top).tobytes(), terms, spheres)
+    return compress(bits.tobytes(), quantize_gains(gains[seen], top).tobytes(), terms, more)

@@ -25,6 +25,7 @@ from gsvis.errors import FormatError
 from gsvis.export.bare import BareScene, encode_scene
 from gsvis.export.columns import compress
 from gsvis.export.first import FirstViews
+from gsvis.export.glances import Glances, glance_bytes
 from gsvis.export.harmonics import Palette, label_bytes
 from gsvis.export.index import Spheres, index_of
 from gsvis.export.lights import Lights, areas_of
@@ -63,11 +64,11 @@ __all__ = [
 I64 = NDArray[np.int64]
 
 FORMAT = "gsvis-static"
-VERSION = 7
+VERSION = 8
 SCENE = "scene.json"
 FILES = ("index", "grid", "facts", "walk")
 """Files of a scene besides `scene.json`."""
-FAMILIES = ("row", "part", "terms", "first", "sets")
+FAMILIES = ("row", "part", "terms", "first", "glance", "sets")
 """Kinds of files that are numbered."""
 
 _BEFORE = ("cells", "records", "blocks", "harmonics", "replaced")  # files of versions 2 and 3
@@ -106,6 +107,8 @@ class StaticOptions:
         most_walk: Most bytes of what is known of walking; larger ones are left out.
         most_first: Bytes that the file of a first view may have, even where all of them then have more bytes than the
             parts: of a small scene a view needs most.
+        most_glances: Bytes that the files of all cells and directions may have together, over those of the parts; 0
+            for none.
         most_sets: Most sets of higher SH coefficients that the Gaussians of a bare scene share; None gives each its
             own, which is exact to the byte, takes no time, and many times the bytes.
 
@@ -120,6 +123,7 @@ class StaticOptions:
     space: NavigableSpace | None = None
     most_walk: int = 1 << 26
     most_first: int = 1 << 19
+    most_glances: float = 0.25
     most_sets: int | None = 1 << 16
 
     def __post_init__(self) -> None:
@@ -127,6 +131,8 @@ class StaticOptions:
             _check.unit_vectors("up", np.reshape(np.asarray(self.up, np.float64), (1, -1)))
         if self.meters_per_unit is not None and not 0.0 <= self.meters_per_unit < np.inf:
             raise ValueError(f"meters_per_unit: expected a finite number >= 0, got {self.meters_per_unit!r}")
+        if not 0.0 <= self.most_glances < np.inf:
+            raise ValueError(f"most_glances: expected a finite number >= 0, got {self.most_glances!r}")
         if self.most_sets is not None:
             _check.positive_int("most_sets", self.most_sets)
 
@@ -269,6 +275,7 @@ class _Content:
         families: Contents of files of one kind, which are numbered.
         spheres: Spheres around the parts.
         info: Facts for `scene.json`.
+        glances: What `scene.json` says of glances; None without any.
     """
 
     coder: PieceCoder
@@ -278,6 +285,7 @@ class _Content:
     families: dict[str, list[bytes]]
     spheres: Spheres
     info: _Info
+    glances: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -315,21 +323,27 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
     if len(placed.term_records):
         pieces["terms"] = [coder.encode_terms(placing.of_part(k)) for k in range(len(parts))]
     files: dict[str, bytes] = {}
+    looks: Glances | None = None
     if lights is None:
         cells = rows_of_scene(gains[placing.order], placing.part_of[placing.order])
     else:
         worth = None if package.epsilon is None else TermWorth(package, g)
         seen = SeenSpheres(g.means, spheres, lights.grid.cell_size)
-        cells = rows_of_package(lights, worth, placing.part_of, seen, progress)
+        of_parts = sum(map(len, pieces["part"]))
+        first = FirstViews(lights, g, worth, coder, placing)
+        if most := glance_bytes(len(lights), int(options.most_glances * of_parts)):
+            looks = Glances.from_up(first, options.up or info.up, most)
+        cells = rows_of_package(lights, worth, placing.part_of, seen, looks, progress)
         meters = info.meters_per_unit if options.meters_per_unit is None else options.meters_per_unit
         floor = floor_of_cells(lights.grid, meters)
         files["facts"] = _facts(lights.grid, floor)
         files |= _walk(g[ids], lights.grid, meters, options.most_walk)
-        share = int(_FIRST * sum(map(len, pieces["part"])) / max(len(known.poses), 1))
-        first = FirstViews(lights, g, worth, coder, placing)
+        share = int(_FIRST * of_parts / max(len(known.poses), 1))
         known = replace(known, first=tuple(_standing(pose, floor) for pose in known.poses))
         pieces["first"] = [first.encode(pose, max(share, options.most_first)) for pose in known.first]
-    return _Content(coder, parts, cells, files, pieces, spheres, known)
+        if looks is not None:
+            pieces["glance"] = list(cells.glances)
+    return _Content(coder, parts, cells, files, pieces, spheres, known, None if looks is None else looks.as_dict())
 
 
 def _standing(pose: Start, floor: dict[str, Any]) -> Start:
@@ -461,6 +475,7 @@ def _document(content: _Content, files: dict[str, StaticFile], options: StaticOp
             "gain_top": content.cells.top,
             "active": content.cells.active,
             "spheres": grid is not None,
+            "glances": content.glances,
         },
         "poses": [pose.as_dict() for pose in info.poses],
         "first": [{"bytes": len(data), **pose.as_dict()} for data, pose in zip(firsts, info.first, strict=True)],

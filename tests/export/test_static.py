@@ -176,6 +176,8 @@ class Reader:
         columns = Columns(self.data["grid"][0], self.scene["cells"]["count"])
         self.boxes = np.stack([columns.sums(4) for _ in range(3)], axis=1)
         self.spheres: list[np.ndarray] = []
+        self.looks: list[int] = []  # bytes of glances
+        glances = self.scene["cells"]["glances"]
         assert columns.next(4).tolist() == [len(row) for row in self.data["row"]]
         out = []
         parts = self.scene["parts"]
@@ -186,6 +188,10 @@ class Reader:
             gains = np.zeros(parts)
             gains[seen] = 2.0 ** ((data[bits : bits + len(seen)] - 255.0 + self.scene["cells"]["gain_top"]) / 4)
             rest, worth = data[bits + len(seen) :], None
+            if glances is not None:
+                planes = rest[len(rest) - 4 * glances["sectors"] :].reshape(4, -1).astype(np.int64)
+                self.looks += (planes << 8 * np.arange(4)[:, None]).sum(axis=0).tolist()
+                rest = rest[: len(rest) - planes.size]
             if self.scene["cells"]["active"]:
                 worth = np.zeros(parts)
                 worth[seen] = np.where(rest[: len(seen)] > 0, 2.0 ** (rest[: len(seen)] - 128.0), 0.0)
@@ -199,6 +205,7 @@ class Reader:
                 assert len(rest) == 0
             self.spheres.append(spheres)
             out.append((gains, worth))
+        assert self.looks == [len(data) for data in self.data.get("glance", [])]
         return out
 
 
@@ -296,7 +303,7 @@ def test_a_cell_says_where_the_light_of_a_part_is_that_its_pictures_show(
     own = np.column_stack([read.centers, read.radii])
     shown_parts = 0
     for cell, spheres in enumerate(read.spheres):
-        (ids, _), drawn = lights.drawn_in(cell, highest)
+        (ids, _), drawn, *_ = lights.drawn_in(cell, highest)
         light = np.zeros(len(g))
         light[ids] = drawn
         for sphere, part, piece in zip(spheres, own, read.pieces, strict=True):
@@ -321,8 +328,8 @@ def test_pictures_in_a_cell_add_to_what_its_classes_tell(package: Package) -> No
     lights = Lights(package, contents.gaussians())
     for cell in range(len(lights)):
         ids, stated = lights.of_cell(cell)
-        (_, drawn), added = lights.drawn_in(cell, highest)
-        (_, without), nothing = lights.drawn_in(cell, np.zeros(len(highest), np.bool_))
+        (_, drawn), added, *_ = lights.drawn_in(cell, highest)
+        (_, without), nothing, *_ = lights.drawn_in(cell, np.zeros(len(highest), np.bool_))
         assert not nothing.any()
         assert np.array_equal(drawn[~highest[ids]], without[~highest[ids]])  # other levels are not drawn
         np.testing.assert_allclose(drawn, without + added)

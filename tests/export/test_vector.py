@@ -27,6 +27,8 @@ VECTOR = Path(__file__).with_name("vector.json")
 
 @patch("gsvis.export.parts.PART", 40)
 @patch("gsvis.export.first._PIECE", (40, 40))
+@patch("gsvis.export.glances._LEAST", 1)
+@patch("gsvis.export.glances._MOST", 100)
 def recorded(folder: Path) -> dict[str, Any]:
     with package_of(folder / "p.gsvis", 300, lattice=True) as package:
         write_static(folder / "package", package, StaticOptions(name="package"))

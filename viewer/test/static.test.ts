@@ -7,6 +7,7 @@ import { join } from "node:path";
 import { test, type TestContext } from "node:test";
 import { Arrivals } from "../src/core/static-arrivals.ts";
 import { FirstView } from "../src/core/static-first.ts";
+import { hasLittle, sectorsOf } from "../src/core/static-glances.ts";
 import { Index } from "../src/core/static-index.ts";
 import { type ChunkRows, readPiece } from "../src/core/static-pieces.ts";
 import { StaticHost } from "../src/core/static-host.ts";
@@ -204,6 +205,40 @@ test("all that a scene has arrives once, what the cell sees first, wherever the 
     const names = asked.map((each) => each.split(" ")[0]);
     assert.equal(new Set(names).size, names.length, asked.join("\n"));
   }
+});
+
+test("what comes first of a cell are the glances that the view covers, and none where most of the view is here", async (t) => {
+  const scene = VECTOR.package, { said, file } = await open(scene), { glances } = said.cells;
+  const cells = await Cells.open(said, file("grid")), row = await readRow(said, file("row", 0), cells.middle(0));
+  const { url, asked } = await serve(t, filesOf(scene)), client = new Client(t, url);
+  client.look(scene.centers![0]);
+  await client.host.start();
+  await client.until(() => client.ids.length === scene.records.length && client.complete());
+  check(scene, client.batches);
+  const kinds = asked.map((each) => each.split("-")[0]).filter((kind) => kind === "glance" || kind === "part");
+  const wanted = sectorsOf(glances!, { position: [0, 0, 0], rotation: [1, 0, 0, 0] }, VIEW).filter((sector) => row.glances[sector] > 0);
+  assert.ok(wanted.length > 0);
+  assert.deepEqual(kinds.slice(0, wanted.length), wanted.map(() => "glance"));
+  const numbers = asked.filter((each) => each.startsWith("glance")).map((each) => Number(/-(\d+)\.bin/.exec(each)![1]));
+  assert.deepEqual(numbers.sort(), [...wanted].sort());
+  const held: Holdings = {
+    part: new Uint8Array(said.parts).fill(HELD), terms: new Uint8Array(0), sets: new Uint8Array(0), glance: new Uint8Array(0),
+    left: new Float32Array(said.parts).fill(1),
+  };
+  const worth = new Float32Array(said.parts).fill(1);
+  assert.ok(!hasLittle(worth, held));
+  held.part.fill(NONE);
+  assert.ok(hasLittle(worth, held));
+  held.left.fill(0.5); // of the light, a quarter by its square
+  assert.ok(!hasLittle(worth, held));
+});
+
+test("a view covers the sectors of the horizon around where it looks", () => {
+  const glances = { sectors: 8, axes: [[1, 0, 0], [0, 0, 1], [0, -1, 0]] }; // looks along +z: 90 degrees, between sectors 5 and 6
+  const ahead = sectorsOf(glances, { position: [0, 0, 0], rotation: [1, 0, 0, 0] }, VIEW);
+  assert.deepEqual([...ahead].sort(), [5, 6]);
+  const narrow = { left: 0.05, right: 0.05, up: 0.05, down: 0.05 }, right = Math.SQRT1_2;
+  assert.deepEqual([...sectorsOf(glances, { position: [9, 9, 9], rotation: [right, 0, right, 0] }, narrow)].sort(), [3, 4]);
 });
 
 test("a first view is read while it comes, by one request before any part", async (t) => {
@@ -417,8 +452,8 @@ test("what is no scene, or of a newer version, is said in one line", async (t) =
   const scene = JSON.parse(filesOf(VECTOR.bare).get("scene.json")!.toString()) as Record<string, unknown>;
   const wrong: [string, RegExp][] = [
     ["<html>", /expected JSON/], ["{}", /expected a static scene/],
-    [JSON.stringify({ ...scene, version: 8 }), /version 7, got 8; export/],
-    [JSON.stringify({ ...scene, version: 6 }), /version 7, got 6; export/],
+    [JSON.stringify({ ...scene, version: 9 }), /version 8, got 9; export/],
+    [JSON.stringify({ ...scene, version: 7 }), /version 8, got 7; export/],
     [JSON.stringify({ ...scene, files: { index: { name: "../secret.bin", bytes: 1, count: 1 } } }), /name without a path/],
     [JSON.stringify({ ...scene, parts: 3 }), /files, part: expected 3 files/],
     [JSON.stringify({ ...scene, gaussians: -1 }), /scene.json, gaussians: expected a number from 0 to/],
@@ -494,7 +529,7 @@ test("the plan takes what has most light in view for its bytes and its delay", a
   const worth = worthOf(index, row, said.cells.size, pose, VIEW), planes = frustum(pose, VIEW);
   const held = (): Holdings => ({
     part: new Uint8Array(index.count), terms: new Uint8Array(index.count), sets: new Uint8Array(0),
-    left: new Float32Array(index.count).fill(1),
+    glance: new Uint8Array(0), left: new Float32Array(index.count).fill(1),
   });
   const pick = (has: Holdings, delay: number, blocks: SetBlocks = { bytes: [], worth: [] }): Choice | null =>
     choose(index, worth, row.terms, has, delay, blocks);
@@ -531,7 +566,7 @@ test("the plan takes what has most light in view for its bytes and its delay", a
 test("outside of its cell an eye sees also what the cell does not, the more the farther it is", async () => {
   const { said, file } = await open(VECTOR.package), index = await Index.open(said, file("index"));
   const cells = await Cells.open(said, file("grid")), middle = cells.middle(0)!, { size } = said.cells;
-  const blind = { gains: new Float32Array(index.count), terms: null, middle, spheres: null };
+  const blind = { gains: new Float32Array(index.count), terms: null, middle, spheres: null, glances: new Uint32Array(0) };
   const at = (sides: number): Float32Array => worthOf(
     index, blind, size, { position: [middle[0] + sides * size, middle[1], middle[2]], rotation: [1, 0, 0, 0] }, VIEW,
   );
@@ -542,7 +577,7 @@ test("outside of its cell an eye sees also what the cell does not, the more the 
 test("a part that is nearer to the eye than to the middle of its cell is worth more", async () => {
   const { said, file } = await open(VECTOR.package), index = await Index.open(said, file("index"));
   const [x, y, z] = index.spheres, { size } = said.cells, middle = [x, y, z - 3 * size];
-  const row = { gains: new Float32Array(index.count).fill(1), terms: null, middle, spheres: null };
+  const row = { gains: new Float32Array(index.count).fill(1), terms: null, middle, spheres: null, glances: new Uint32Array(0) };
   const at = (away: number): number => worthOf(
     index, row, size, { position: [x, y, middle[2] + away * size], rotation: [1, 0, 0, 0] }, VIEW,
   )[0];

@@ -10,6 +10,7 @@ export interface CellRow {
   terms: Float32Array | null; // (P)
   middle: readonly number[] | null; // of the cell; null where one cell is everywhere
   spheres: Float32Array | null; // (4 P) center, in radii from that of the part, and radius over its own
+  glances: Uint32Array; // bytes of the glance of each sector
 }
 
 export class Cells {
@@ -72,10 +73,10 @@ export async function readRow(
   scene: StaticScene, coded: Uint8Array, middle: readonly number[] | null,
 ): Promise<CellRow> {
   const { parts, cells } = scene, bits = Math.ceil(parts / 8), seen: number[] = [];
-  const each = 1 + (cells.active ? 1 : 0) + (cells.spheres ? 4 : 0);
-  const data = await inflate(coded, bits + each * parts, "row");
+  const each = 1 + (cells.active ? 1 : 0) + (cells.spheres ? 4 : 0), sectors = cells.glances?.sectors ?? 0;
+  const data = await inflate(coded, bits + each * parts + 4 * sectors, "row");
   for (let p = 0; p < parts && p >> 3 < data.length; p++) if ((data[p >> 3] >> (p & 7)) & 1) seen.push(p);
-  if (data.length !== bits + each * seen.length) throw damaged("row");
+  if (data.length !== bits + each * seen.length + 4 * sectors) throw damaged("row");
   const column = (k: number): Uint8Array => data.subarray(bits + k * seen.length, bits + (k + 1) * seen.length);
   const gains = new Float32Array(parts), terms = cells.active ? new Float32Array(parts) : null;
   const spheres = cells.spheres ? new Float32Array(4 * parts).map((_, k) => (k % 4 < 3 ? 0 : 1)) : null;
@@ -87,10 +88,11 @@ export async function readRow(
     for (let axis = 0; axis < 3; axis++) spheres[4 * p + axis] = (column(each - 4 + axis)[k] - 128) / STEPS;
     spheres[4 * p + 3] = 2 ** ((column(each - 1)[k] - 128) / OCTAVE);
   });
-  return { gains, terms, middle, spheres };
+  const glances = new Columns(data.subarray(data.length - 4 * sectors), sectors).next(4);
+  return { gains, terms, middle, spheres, glances };
 }
 
 /** Return a row with all parts alike: what a cell is taken to see whose own row is lost. */
 export function everything(scene: StaticScene): CellRow {
-  return { gains: new Float32Array(scene.parts).fill(1), terms: null, middle: null, spheres: null };
+  return { gains: new Float32Array(scene.parts).fill(1), terms: null, middle: null, spheres: null, glances: new Uint32Array(0) };
 }

@@ -1,4 +1,5 @@
-// The file of a first view of a static scene: which poses it is for, and its pieces while it comes.
+// Files of Gaussians that were chosen one by one: of a first view of a static scene, and of a glance from a cell. They say
+// what they leave of each part, and their pieces are read while they come.
 import { pieceBytes } from "./static-pieces.ts";
 import type { StaticScene } from "./static-scene.ts";
 import { damaged, inflate } from "./static-tables.ts";
@@ -7,30 +8,12 @@ import type { Pose } from "./types.ts";
 const NEAR = 0.3; // sides of a cell from the view that is still the same
 const TURN = 0.35; // radians
 
-export class FirstView {
-  isAsked = false;
-  isOver = false; // it is here, or lost
+/** Pieces, behind the shares of the light of parts that they leave. */
+export class PieceFile {
   #data = new Uint8Array(0); // what has come and makes no piece yet
   #shares: Uint8Array | null = null; // compressed
 
-  constructor(private readonly scene: StaticScene, readonly number: number) {}
-
-  get bytes(): number {
-    return this.scene.first[this.number].bytes;
-  }
-
-  get where(): string {
-    return `first view ${this.number}`;
-  }
-
-  /** Return whether an eye sees about what the file is for. */
-  isFor(pose: Pose): boolean {
-    const { position, rotation } = this.scene.first[this.number].pose;
-    const away = Math.hypot(...position.map((v, k) => v - pose.position[k]));
-    const cosine = Math.abs(rotation.reduce((sum, v, k) => sum + v * pose.rotation[k], 0));
-    const norms = Math.hypot(...rotation) * Math.hypot(...pose.rotation);
-    return away <= NEAR * this.scene.cells.size && 2 * Math.acos(Math.min(cosine / norms, 1)) <= TURN;
-  }
+  constructor(protected readonly scene: StaticScene, readonly where: string) {}
 
   /** Take what has come, and return the pieces that are whole. */
   take(data: Uint8Array): Uint8Array[] {
@@ -59,5 +42,28 @@ export class FirstView {
     const shares = await inflate(this.#shares, parts, where);
     if (shares.length !== parts) throw damaged(where);
     return Float32Array.from(shares, (share) => share / 255);
+  }
+}
+
+/** The file of a first view. */
+export class FirstView extends PieceFile {
+  isAsked = false;
+  isOver = false; // it is here, or lost
+
+  constructor(scene: StaticScene, readonly number: number) {
+    super(scene, `first view ${number}`);
+  }
+
+  get bytes(): number {
+    return this.scene.first[this.number].bytes;
+  }
+
+  /** Return whether an eye sees about what the file is for. */
+  isFor(pose: Pose): boolean {
+    const { position, rotation } = this.scene.first[this.number].pose;
+    const away = Math.hypot(...position.map((v, k) => v - pose.position[k]));
+    const cosine = Math.abs(rotation.reduce((sum, v, k) => sum + v * pose.rotation[k], 0));
+    const norms = Math.hypot(...rotation) * Math.hypot(...pose.rotation);
+    return away <= NEAR * this.scene.cells.size && 2 * Math.acos(Math.min(cosine / norms, 1)) <= TURN;
   }
 }

@@ -16,9 +16,9 @@ const SETS = 10; // squared change of color that counts as much as light which i
 /** States of parts, and of their terms. */
 export const NONE = 0, ASKED = 1, HELD = 2, LOST = 3;
 
-/** A part to fetch, the terms of one, or a block of sets of harmonics. */
+/** A part to fetch, the terms of one, a block of sets of harmonics, or a glance. */
 export interface Choice {
-  kind: "part" | "terms" | "sets";
+  kind: "part" | "terms" | "sets" | "glance";
   number: number;
 }
 
@@ -26,6 +26,7 @@ export interface Holdings {
   part: Uint8Array; // (P) states
   terms: Uint8Array; // (P) states
   sets: Uint8Array; // states of blocks
+  glance: Uint8Array; // states, of all sectors of the first cell, then of the next
   left: Float32Array; // (P) share of the light that is not here yet
 }
 

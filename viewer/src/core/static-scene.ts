@@ -4,7 +4,7 @@ import { type Fields, integer, list, number, object, refuse, triple } from "./js
 import { blocksOf, type SetBlocks } from "./static-sets.ts";
 import type { HarmonicTables, Header, Pose } from "./types.ts";
 
-const VERSION = 7;
+const VERSION = 8;
 const MOST = 1 << 28;
 const FARTHEST = 1e30;
 const WHERE = "scene.json";
@@ -24,6 +24,7 @@ interface CellInfo {
   gainTop: number;
   active: boolean;
   spheres: boolean; // whether rows say where the light of parts is
+  glances: { sectors: number; axes: readonly number[][] } | null; // of the horizon: two axes, and the one upwards
 }
 
 export interface StaticScene {
@@ -88,8 +89,15 @@ function parseCells(said: Fields, where: string): CellInfo {
     count: integer(said, "count", 0, 1e6, where), origin: triple(said.origin, `${where}, origin`),
     size: number(said.size, 0, FARTHEST, `${where}, size`),
     gainTop: number(said.gain_top, -FARTHEST, FARTHEST, `${where}, gain_top`), active: said.active === true,
-    spheres: said.spheres === true,
+    spheres: said.spheres === true, glances: parseGlances(said.glances ?? null, `${where}, glances`),
   };
+}
+
+function parseGlances(value: unknown, where: string): CellInfo["glances"] {
+  if (value === null) return null;
+  const said = object(value, where);
+  const axes = list(said, "axes", 3, 3, where).map((axis) => triple(axis, `${where}, axes`));
+  return { sectors: integer(said, "sectors", 1, 360, where), axes };
 }
 
 function checkFiles(scene: StaticScene): void {
@@ -97,6 +105,7 @@ function checkFiles(scene: StaticScene): void {
   wanted.set("part", parts);
   if (header.terms > 0) wanted.set("terms", parts);
   if (first.length > 0) wanted.set("first", first.length);
+  if (cells.glances !== null) wanted.set("glance", cells.count * cells.glances.sectors);
   if (header.harmonics !== null) wanted.set("sets", blocksOf(header.harmonics.sets));
   for (const [kind, count] of wanted) {
     const got = files.get(kind)?.count;

@@ -3,13 +3,15 @@
 import { Arrivals } from "./static-arrivals.ts";
 import { Cells, everything, readRow } from "./static-cells.ts";
 import type { CellRow } from "./static-cells.ts";
-import { FirstView } from "./static-first.ts";
+import { FirstView, PieceFile } from "./static-first.ts";
+import { hasLittle, sectorsOf } from "./static-glances.ts";
 import { Index } from "./static-index.ts";
 import type { Link } from "./static-link.ts";
 import { PartError } from "./static-parts.ts";
 import type { Parts } from "./static-parts.ts";
 import { readPiece } from "./static-pieces.ts";
-import { ASKED, choose, HELD, LOST, worthOf } from "./static-plan.ts";
+import type { Piece } from "./static-pieces.ts";
+import { ASKED, choose, HELD, LOST, NONE, worthOf } from "./static-plan.ts";
 import type { Choice, Holdings } from "./static-plan.ts";
 import type { StaticScene } from "./static-scene.ts";
 import { readSets } from "./static-sets.ts";
@@ -39,6 +41,7 @@ export class StaticSession {
   #planned: { cell: number; pose: Pose; view: View } | null = null;
   #worth: Float32Array = new Float32Array(0);
   #ofTerms: Float32Array | null = null;
+  #glances: number[] = []; // that the planned view needs before parts
   #left: number[] | null = null; // cells of which what they see is sent when the planned one has all
   #busy = 0;
   #isClosed = false;
@@ -49,9 +52,10 @@ export class StaticSession {
     readonly scene: StaticScene, private readonly parts: Parts, private readonly link: Link,
     private readonly events: SessionEvents,
   ) {
-    const { parts: count, sets } = scene;
+    const { parts: count, sets, cells } = scene;
     this.#held = {
       part: new Uint8Array(count), terms: new Uint8Array(count), sets: new Uint8Array(sets.bytes.length),
+      glance: new Uint8Array(cells.count * (cells.glances?.sectors ?? 0)),
       left: new Float32Array(count).fill(1),
     };
     this.arrivals = new Arrivals(scene.header);
@@ -106,7 +110,8 @@ export class StaticSession {
     if (this.#isStale(cell)) this.#plan(cell, row, this.#index, this.#pose, this.#view);
     while (this.#busy < this.#mostRequests()) {
       const delay = (this.link.throughput * this.link.roundTrip) / CONNECTIONS;
-      const choice = this.#choose(this.#index, delay);
+      const glance = this.#glances.shift();
+      const choice = glance === undefined ? this.#choose(this.#index, delay) : { kind: "glance" as const, number: glance };
       if (choice === null) break;
       this.#held[choice.kind][choice.number] = ASKED;
       this.#busy++;
@@ -138,12 +143,21 @@ export class StaticSession {
   #plan(cell: number, row: CellRow, index: Index, pose: Pose, view: View): void {
     this.#worth = worthOf(index, row, this.scene.cells.size, pose, view);
     this.#ofTerms = row.terms;
+    this.#glances = this.#glancesOf(cell, row, pose, view);
     this.#planned = { cell, pose, view };
     this.#left = null;
     if (this.#isComplete && this.#choose(index, 0) !== null) {
       this.#isComplete = false;
       this.report();
     }
+  }
+
+  /** Return the glances of a view that are worth their bytes. */
+  #glancesOf(cell: number, row: CellRow, pose: Pose, view: View): number[] {
+    const { glances } = this.scene.cells, { length } = row.glances;
+    if (glances === null || length === 0 || !hasLittle(this.#worth, this.#held)) return [];
+    const some = sectorsOf(glances, pose, view).filter((sector) => row.glances[sector] > 0);
+    return some.map((sector) => cell * length + sector).filter((number) => this.#held.glance[number] === NONE);
   }
 
   /** All that the cell needs is here: say so, and go on with what the cells beside it see, and then with the rest. */
@@ -201,8 +215,7 @@ export class StaticSession {
         }
       });
       await made;
-      const left = await first.left();
-      left.forEach((share, p) => (this.#held.left[p] *= Math.max(share, LEAST_LEFT)));
+      this.#takeLeft(await first.left());
     } catch (error) {
       if (!this.#isClosed) this.#lose(error);
     }
@@ -216,10 +229,11 @@ export class StaticSession {
 
   async #fetch({ kind, number }: Choice, index: Index): Promise<void> {
     const states = this.#held[kind];
-    const bytes = { part: index.bytes, terms: index.termBytes, sets: this.scene.sets.bytes }[kind];
     try {
-      const data = await this.#read(kind, number, bytes[number]);
-      const tell = kind === "sets" ? await this.#readSets(data, number) : await this.#readPart(data, `${kind} ${number}`);
+      const data = await this.#read(kind, number, this.#bytesOf({ kind, number }, index));
+      const where = `${kind} ${number}`;
+      const tell = kind === "sets" ? await this.#readSets(data, number)
+        : kind === "glance" ? await this.#readGlance(data, where) : await this.#readPart(data, where);
       if (this.#isClosed) return;
       states[number] = HELD;
       tell();
@@ -228,6 +242,30 @@ export class StaticSession {
       states[number] = LOST;
       this.#lose(error);
     }
+  }
+
+  #bytesOf({ kind, number }: Choice, index: Index): number {
+    const sectors = this.scene.cells.glances?.sectors ?? 1, row = this.#rows.get(Math.floor(number / sectors));
+    if (kind === "glance") return row === undefined || row instanceof Promise ? 0 : row.glances[number % sectors];
+    return { part: index.bytes, terms: index.termBytes, sets: this.scene.sets.bytes }[kind][number];
+  }
+
+  /** Decode a glance; return what tells of it. */
+  async #readGlance(data: Uint8Array, where: string): Promise<() => void> {
+    const file = new PieceFile(this.scene, where), pieces: Piece[] = [];
+    for (const piece of file.take(data)) {
+      pieces.push(await readPiece(piece, this.scene.header, this.arrivals.rows, where));
+    }
+    const left = await file.left();
+    return () => {
+      for (const piece of pieces) this.events.batch(this.arrivals.add(piece));
+      this.#takeLeft(left);
+    };
+  }
+
+  /** Count what is left of parts. */
+  #takeLeft(left: Float32Array): void {
+    left.forEach((share, p) => (this.#held.left[p] *= Math.max(share, LEAST_LEFT)));
   }
 
   /** Decode a part, or terms; return what tells of it. */
