@@ -27,7 +27,7 @@ from gsvis.package.blocks import bytes_of_blocks
 from gsvis.package.manifest import MANIFEST
 from gsvis.package.rounding import round_records, round_terms
 from gsvis.prepare import PrepareConfig
-from gsvis.prepare.record_limits import search_limits, views_of_choice
+from gsvis.prepare.record_limits import cameras_of_choice, search_limits
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.navigable import NavigableSpace
@@ -68,7 +68,7 @@ def measure(path: Path, sog: int, options: argparse.Namespace) -> list[dict[str,
     rest = sizes["chunks"] + sizes["visibility"] + (path / MANIFEST).stat().st_size
     levels = contents.levels()
     space = NavigableSpace.from_scene(levels.level(len(levels) - 1), up=up)
-    choice = [views.cameras(levels, space) for views in views_of_choice(PrepareConfig.cost_views)]
+    choice = cameras_of_choice(levels, space, PrepareConfig.cost_views, options.photos)
     whole = [drawn(contents, cameras) for cameras in choice]
     judges = JUDGES.cameras(levels, space)
     truth = drawn(contents, judges)

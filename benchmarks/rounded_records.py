@@ -28,7 +28,7 @@ from gsvis.package import Contents, PackageOrder, in_package_order
 from gsvis.package.blocks import bytes_of_blocks
 from gsvis.package.rounding import Limits, rounded_contents
 from gsvis.prepare import PrepareConfig
-from gsvis.prepare.record_limits import choose_limits, views_of_choice
+from gsvis.prepare.record_limits import cameras_of_choice, choose_limits
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -37,7 +37,6 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.stream.coding import Coding, Steps
 
-CHOICE = views_of_choice(PrepareConfig.cost_views)
 JUDGES = {
     "anywhere": ViewSampling(12, 480, 360, 90.0, seed=77, stream=8),
     "standing": ViewSampling(12, 480, 360, 70.0, seed=78, stream=12, standing=1.0),
@@ -81,7 +80,9 @@ def measure(scene: str, options: argparse.Namespace) -> list[dict[str, Any]]:
     exact = fitted(single.union, space, options.mean_terms)[PackageOrder.from_levels(single).permutation]
     levels = in_package_order(single)
     packed = quantize(exact)
-    chosen = choose_limits(levels, exact, packed, [views.cameras(levels, space) for views in CHOICE], options.wanted)
+    chosen = choose_limits(
+        levels, exact, packed, cameras_of_choice(levels, space, PrepareConfig.cost_views), options.wanted
+    )
     judges = {rule: views.cameras(levels, space) for rule, views in JUDGES.items()}
     fit = {rule: drawn(levels.union, exact, cameras) for rule, cameras in judges.items()}
     source = {rule: drawn(levels.union, None, cameras) for rule, cameras in judges.items()}

@@ -7,6 +7,7 @@ drawn apart from those that measure the cost of rounding afterwards.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -24,9 +25,11 @@ from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
+from gsvis.train.photos import load_photo_cameras
 
-__all__ = ["RecordLimits", "choose_limits", "search_limits", "views_of_choice"]
+__all__ = ["RecordLimits", "cameras_of_choice", "choose_limits", "search_limits"]
 
 F32 = NDArray[np.float32]
 
@@ -37,6 +40,7 @@ WIDE = 80.0
 """Degrees that eyes of standing people see in the choice."""
 
 _TRIES = 6
+_EVERY = 8
 _BELOW = 5.0  # dB that a view may have less than wanted
 
 
@@ -57,14 +61,29 @@ class RecordLimits:
     worst: float
 
 
-def views_of_choice(views: ViewSampling) -> tuple[ViewSampling, ViewSampling]:
-    """Return views by two rules that decide how records are rounded: anywhere, and of standing people.
+def cameras_of_choice(
+    levels: Levels, space: NavigableSpace, views: ViewSampling, photos: str | os.PathLike[str] | None = None
+) -> list[Cameras]:
+    """Return the views that decide how records are rounded: anywhere, of standing people, and of photographs.
 
     Args:
+        levels: Levels.
+        space: The navigable space.
         views: Views that measure the cost of rounding; those of the choice are drawn apart from them.
+        photos: Folder of photographs; every eighth is left out, as it may judge. None for none.
+
+    Raises:
+        SceneError: If too few viewpoints lie outside of solid parts.
+        FormatError: If the photographs have no model, or it is malformed.
     """
     anywhere = replace(views, count=2 * views.count, stream=views.stream + 6)
-    return anywhere, replace(anywhere, fov=max(views.fov, WIDE), standing=1.0)
+    rules = anywhere, replace(anywhere, fov=max(views.fov, WIDE), standing=1.0)
+    found = [rule.cameras(levels, space) for rule in rules]
+    if photos is not None:
+        poses = load_photo_cameras(photos)
+        taken = poses[np.flatnonzero(np.arange(len(poses)) % _EVERY)] if len(poses) > 1 else poses
+        found.append(taken.evenly(anywhere.count).resize(views.width, views.height))
+    return found
 
 
 def choose_limits(

@@ -51,7 +51,7 @@ from gsvis.prepare.learned_colors import (
 )
 from gsvis.prepare.levels import make_levels
 from gsvis.prepare.memory import left_for_sets
-from gsvis.prepare.record_limits import choose_limits, views_of_choice
+from gsvis.prepare.record_limits import cameras_of_choice, choose_limits
 from gsvis.prepare.surroundings import Surroundings
 from gsvis.progress import Progress
 from gsvis.pvs.build import build_pvs
@@ -393,13 +393,14 @@ class Stages:
         wanted = self.config.colors.record_psnr
         if wanted is None:
             return None
-        rules = views_of_choice(self.config.cost_views)
-        facts = {"colors": colors_hash(exact), "views": list(map(asdict, rules)), **self._precision_record()}
-        name = f"rounding-{self._key('rounding', levels=_content(levels), space=self.space_hash, **facts)}.json"
+        views = self.config.cost_views
+        facts = {"views": asdict(views), "photos": self.photos and digest_of_folder(self.photos)}
+        facts |= {"colors": colors_hash(exact), "space": self.space_hash, **self._precision_record()}
+        name = f"rounding-{self._key('rounding', levels=_content(levels), **facts)}.json"
         with self._stage("rounding") as done:
             if not self.work.whole(name):
                 done.append(True)
-                cameras = [rule.cameras(levels, self.space) for rule in rules]
+                cameras = cameras_of_choice(levels, self.space, views, self.photos)
                 found = choose_limits(levels, exact, packed, cameras, wanted, progress=self.progress)
                 self._keep(name, asdict(found))
             made = parse_object(self.work.at(name), read_whole(self.work.at(name))).value
@@ -414,10 +415,8 @@ class Stages:
 
     def cost_name(self, levels: Levels, exact: SrbfColors) -> str:
         """Return the name of the file of the cost of rounding."""
-        views = asdict(self.config.cost_views)
-        colors = colors_hash(exact)
-        bits = self._precision_record()
-        key = self._key("cost", levels=_content(levels), colors=colors, views=views, space=self.space_hash, **bits)
+        facts = {"colors": colors_hash(exact), "views": asdict(self.config.cost_views), **self._precision_record()}
+        key = self._key("cost", levels=_content(levels), space=self.space_hash, **facts)
         return f"cost-{key}.json"
 
     def cost(self, levels: Levels, exact: SrbfColors, packed: QuantizedColors, limits: Limits | None) -> Cost:

@@ -88,6 +88,18 @@ def new(found: Prepared) -> list[str]:
     return [stage.name for stage in found.stages if not stage.reused]
 
 
+def test_records_are_rounded_from_what_is_kept(again: Path, rooms: OccluderScene) -> None:
+    before = prepare(rooms, again).manifest
+    config = replace(CONFIG, colors=replace(CONFIG.colors, record_psnr=40.0))
+    found = prepare(rooms, again, config)
+    assert new(found) == ["rounding", "cost", "fidelity", "package"]
+    assert found.manifest.limits is not None
+    assert found.manifest.info.cost is not None
+    assert found.manifest.info.cost.psnr > 34.0  # 40 dB in other views
+    assert all(found.manifest.sizes()[name] < before.sizes()[name] for name in ("records", "terms"))
+    assert not new(prepare(rooms, again, config))
+
+
 def test_a_package_holds_everything_that_a_server_needs(made: tuple[Path, Prepared], rooms: OccluderScene) -> None:
     out, found = made
     with Package.open(out) as package:
