@@ -432,7 +432,7 @@ test("a link that is down is waited for", async (t) => {
 
 test("a site written anew under the same address is read anew", async (t) => {
   const files = filesOf(VECTOR.package), other = filesOf(VECTOR.bare);
-  for (const name of [...files.keys()]) if (name.startsWith("part")) files.delete(name);
+  for (const name of [...files.keys()]) if (/^(part|glance)/.test(name)) files.delete(name);
   let asked = 0;
   const { url } = await serve(t, files, (name, _, __, response) => {
     if (name === "scene.json" && asked++ > 0) {
