@@ -44,6 +44,7 @@ _PACKED_TERM = 0.78  # size of coded terms over their raw size
 _SHARED_CLASSES = 0.77  # of the bytes of sets without directions, when cells share classes
 _SHARED_DIRECTIONS = 0.25  # bytes a Gaussian of direction sets that neighbors share: 0.1 to 0.3 in six scenes
 _FILES = 10_000  # bytes of a package besides records, terms and sets
+_ROUNDING = 20.0  # time of choosing how to round records over that of the views that measure the cost of rounding
 _STAIRCASE = 15.0  # time of the staircase over that of the views that measure the cost of rounding
 _IMAGES = 5  # of a view that measures what a client gets
 
@@ -148,6 +149,7 @@ class _Estimator:
         exact = self._colors(store)
         terms = exact.num_terms if exact is not None else self._expect_terms()
         epsilon = self._epsilon(exact)
+        self._rounding(exact)
         self._cost(exact)
         self._fidelity(exact, store, epsilon)
         if store is not None:
@@ -255,6 +257,15 @@ class _Estimator:
             what += f"; {stages.color_steps:,} steps of learning"
         self.found.append(StageEstimate("colors", "to do", what, seconds, nbytes))
         return None
+
+    def _rounding(self, exact: SrbfColors | None) -> None:
+        """Estimate the stage that chooses how to round records, if they are rounded."""
+        if self.config.colors.record_psnr is None:
+            return
+        what = f"{2 * self.config.cost_views.count:,} views by each rule, several times"
+        done = exact is not None and self.stages.work.whole(self.stages.cost_name(self.levels, exact))
+        seconds = 0.0 if done else _ROUNDING * self.trial.cost()
+        self.found.append(StageEstimate("rounding", "done" if done else "to do", what, seconds, 100))
 
     def _cost(self, exact: SrbfColors | None) -> None:
         """Estimate the stage that measures what rounding costs."""

@@ -91,8 +91,11 @@ def new(found: Prepared) -> list[str]:
 def test_records_are_rounded_from_what_is_kept(again: Path, rooms: OccluderScene) -> None:
     before = prepare(rooms, again).manifest
     config = replace(CONFIG, colors=replace(CONFIG.colors, record_psnr=40.0))
+    wanted = ["rounding", "cost", "fidelity", "package"]
+    dry = estimate_preparation(rooms.gaussians, again, rooms.navigable, config)
+    assert [stage.name for stage in dry.stages if stage.state == "to do"] == wanted
     found = prepare(rooms, again, config)
-    assert new(found) == ["rounding", "cost", "fidelity", "package"]
+    assert new(found) == wanted
     assert found.manifest.limits is not None
     assert found.manifest.info.cost is not None
     assert found.manifest.info.cost.psnr > 34.0  # 40 dB in other views
