@@ -23,6 +23,7 @@ CORES := $(shell nproc 2>/dev/null)
 export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(if $(CORES),$(shell expr $(CORES) + 1))
 # Threads that wait for a kernel sleep: spinning beside other work costs an example ten times its processor time.
 export OMP_WAIT_POLICY ?= passive
+export OPENBLAS_NUM_THREADS ?= 1
 # Tests start hundreds of Python processes: without bytecode each would compile the package anew.
 unexport PYTHONDONTWRITEBYTECODE
 

@@ -21,6 +21,8 @@ if "GSVIS_CACHE" not in os.environ:  # not the folder of whoever runs the tests
     os.environ["GSVIS_CACHE"] = tempfile.mkdtemp(prefix="gsvis-cache-")
     atexit.register(shutil.rmtree, os.environ["GSVIS_CACHE"], ignore_errors=True)
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # workers of one machine do not spin against each other
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads spin after each product, a fifth of the time of tests
+os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")  # it colors each error, and tries many types
 if "PYTEST_XDIST_WORKER" in os.environ:  # beside others, who have the same cores; what a test starts inherits it
     os.environ.setdefault("NUMBA_NUM_THREADS", "2")
     os.environ.setdefault("OMP_NUM_THREADS", "2")

@@ -17,6 +17,8 @@ from numba.core.caching import NullCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
+from tests.quick_compiler import compile_quickly
+
 try:
     import fcntl
 except ImportError:  # not on Windows: there, kernels may be compiled twice
@@ -37,7 +39,8 @@ def pytest_configure() -> None:
 
 
 def compile_once() -> None:
-    """Let one process at a time compile a kernel that has a cache; from now on, in this process."""
+    """Let one process at a time compile a kernel that has a cache, and quickly; from now on, in this process."""
+    compile_quickly()
     if fcntl is not None:
         Dispatcher.compile = _compile_alone
 
