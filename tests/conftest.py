@@ -7,8 +7,9 @@ import gc
 import os
 import shutil
 import tempfile
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -50,6 +51,23 @@ def realdata() -> Path:
     if not folder.is_dir():
         pytest.skip("no real data: set GSVIS_REALDATA to the folder that holds scenes/ and photos/")
     return folder
+
+
+@pytest.fixture(scope="session")
+def real_space(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Any], Any]:
+    """A function that returns the navigable space of a real scene, found once for all workers: it takes seconds."""
+    from gsvis.scene.navigable import NavigableSpace
+    from tests.known_spaces import remember_spaces
+
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "real-spaces"
+    folder.mkdir(exist_ok=True)
+
+    def find(g: Any) -> Any:
+        with remember_spaces(folder):
+            return NavigableSpace.from_scene(g)
+
+    return find
 
 
 @pytest.fixture(scope="module")

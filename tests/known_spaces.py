@@ -7,6 +7,7 @@ tests/scene.
 from __future__ import annotations
 
 import hashlib
+import os
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -83,7 +84,9 @@ def _remember(key: str, folder: Path | None, find: Callable[[], Any]) -> Any:
         else:
             _found[key] = find()
             if file is not None:
-                file.write_bytes(pickle.dumps(_found[key]))
+                part = file.with_suffix(f".{os.getpid()}")
+                part.write_bytes(pickle.dumps(_found[key]))
+                part.replace(file)  # another process may read it at any time
     return _found[key]
 
 

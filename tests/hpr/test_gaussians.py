@@ -11,7 +11,6 @@ from gsvis.hpr import OcclusionHull, gaussians, visible_gaussians
 from gsvis.io import load_scene
 from gsvis.raycast import EllipsoidProxies, Tracer, visible_from
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import OCCLUDER_SCENES, builtin_scene, random_scene
 
 
@@ -166,9 +165,9 @@ def test_without_a_hull_each_cell_speaks_for_itself(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.realdata
 @pytest.mark.parametrize(("name", "lod", "recall"), [("showroom", 3, 0.95), ("nika_sh3", 2, 0.99)])
-def test_little_weight_is_lost_on_real_scenes(realdata, name: str, lod: int, recall: float) -> None:
+def test_little_weight_is_lost_on_real_scenes(realdata, real_space, name: str, lod: int, recall: float) -> None:
     g = load_scene(realdata / "scenes" / name / "lod-meta.json", lod=lod)
-    eyes = NavigableSpace.from_scene(g).sample_viewpoints(2, np.random.default_rng(7))
+    eyes = real_space(g).sample_viewpoints(2, np.random.default_rng(7))
     weights = visible_from(Tracer(EllipsoidProxies.from_scene(g)), eyes, size=64)
     for eye, weight in zip(eyes, weights, strict=True):
         seen = visible_gaussians(g, eye)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -90,10 +91,12 @@ def test_lattices_with_many_coincident_points_agree_by_position(seed: int, step:
 
 
 @pytest.fixture(scope="module")
-def showroom(realdata: Path) -> tuple[Gaussians, NDArray[np.float64]]:
+def showroom(
+    realdata: Path, real_space: Callable[[Gaussians], NavigableSpace]
+) -> tuple[Gaussians, NDArray[np.float64]]:
     """A real scene and an eye in it."""
     g = load_scene(realdata / "scenes/showroom/lod-meta.json", lod=3)
-    return g, NavigableSpace.from_scene(g).sample_viewpoints(1, np.random.default_rng(5))[0]
+    return g, real_space(g).sample_viewpoints(1, np.random.default_rng(5))[0]
 
 
 @pytest.mark.realdata

@@ -184,10 +184,12 @@ def test_a_space_given_by_hand_says_so() -> None:
         ("statues/trumpet.sog", None, "object"),
     ],
 )
-def test_kinds_of_real_scenes(realdata: Path, name: str, lod: int | None, kind: str) -> None:
+def test_kinds_of_real_scenes(
+    realdata: Path, real_space: Callable[[Gaussians], NavigableSpace], name: str, lod: int | None, kind: str
+) -> None:
     from gsvis.io import load_scene
 
     path = realdata / "scenes" / name
     if not path.exists():
         pytest.skip(f"{name} is not there")
-    assert NavigableSpace.from_scene(load_scene(path, lod=lod)).kind.kind == kind
+    assert real_space(load_scene(path, lod=lod)).kind.kind == kind

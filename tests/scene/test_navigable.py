@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -275,10 +276,12 @@ class TestErrors:
 
 @pytest.mark.realdata
 class TestRealScenes:
-    def test_rooms_of_the_showroom_are_joined(self, realdata: Path) -> None:
+    def test_rooms_of_the_showroom_are_joined(
+        self, realdata: Path, real_space: Callable[[Gaussians], NavigableSpace]
+    ) -> None:
         from gsvis.io import load_scene
 
-        space = NavigableSpace.from_scene(load_scene(realdata / "scenes/showroom/lod-meta.json", lod=3))
+        space = real_space(load_scene(realdata / "scenes/showroom/lod-meta.json", lod=3))
         assert space.up.tolist() == [0.0, 0.0, 1.0]
         assert "70%" in space.rule
         assert 300.0 < space.volume < 550.0  # an apartment, not the garden around it

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from gsvis.io.poses import load_path
 from gsvis.io.scenes import load_scene
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.procedural import two_rooms
@@ -250,8 +252,10 @@ def test_a_built_in_scene() -> None:
 
 @pytest.mark.slow
 @pytest.mark.realdata
-def test_recordings_walk_through_the_showroom_at_their_own_size(realdata: Path) -> None:
-    space = NavigableSpace.from_scene(load_scene(realdata / "scenes" / "showroom" / "lod-meta.json", lod=3))
+def test_recordings_walk_through_the_showroom_at_their_own_size(
+    realdata: Path, real_space: Callable[[Gaussians], NavigableSpace]
+) -> None:
+    space = real_space(load_scene(realdata / "scenes" / "showroom" / "lod-meta.json", lod=3))
     for seed, name in enumerate(("room/user111_room", "room/user120_room", "truck/user107_truck")):
         path = load_path(realdata / "traces" / "eyenav_rutgers" / f"{name}.csv.gz").cut(0.0, 30.0)
         found = checked(retarget(path, space, RetargetConfig(meters_per_unit=1.0, seed=seed)), path, space)
