@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 
 import pytest
+from tyro import _docstrings
 
 from gsvis.cli import terminal
 from tests.known_spaces import remember_spaces
 from tests.quick_reports import draw_no_places, take_few_judges
+
+
+@pytest.fixture(scope="session", autouse=True)
+def known_docstrings() -> Iterator[None]:
+    """Read what sources say of options once: tyro reads them anew for each command, a quarter of its time."""
+    with pytest.MonkeyPatch.context() as patch:
+        read = _docstrings.get_class_tokenization_with_field
+        patch.setattr(_docstrings, "get_class_tokenization_with_field", cache(read))
+        yield
 
 
 @pytest.fixture(autouse=True)
