@@ -1,12 +1,12 @@
-"""What do repairs of visible sets cost where a scene is large, and what do finer looks change?
+"""What do repairs of visible sets cost where a scene is large, and what is it worth to take what was seen faintly?
 
-Sets of a few cells are found twice from the same looks: with coarse looks alone, as before design note 116, and with
-looks that become finer where a repair found little. Neither takes a look twice.
+Sets of a few cells are found twice from the same looks: repaired by more looks alone, and by first taking what the
+viewpoints saw too faintly (design note 125). Neither takes a look twice.
 
 Given: one level; copies of nika, as many as needed, turned and jittered (`real_sizes.py`), and guitar.
 Measured: processor seconds of a cell, size of its set, its bound, and the light that it misses on 16,384 rays of a seed
     of their own.
-Defaults chosen on: copies of nika, three other cells.
+Defaults chosen on: copies of nika, four other cells.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.certificate import CertificateConfig, Certifier
 from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.sightings import FaintOnes
 from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
 from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.scene.gaussians import Gaussians
@@ -35,7 +36,7 @@ from gsvis.scene.navigable import NavigableSpace
 
 MOST_CELLS = 256
 FRESH = CertificateConfig(limit=0.0, rays=16_384, seed=77, sparse=8)
-WAYS = {"coarse": lambda _finder, _certificates: False, "finer": Finder._is_slow}
+WAYS = {"looks alone": lambda _self, _missed: False, "faint first": FaintOnes.pay}
 
 
 def main() -> None:
@@ -63,7 +64,7 @@ def main() -> None:
                 ("gaussians", "size of a set", ""),
             ):
                 reached = float(np.mean([row[way][key] for row in rows]))
-                figure = {"name": f"{name}, {way} looks: {what}", "target": None, "reached": reached}
+                figure = {"name": f"{name}, {way}: {what}", "target": None, "reached": reached}
                 figures.append({**figure, "unit": unit, "better": "lower"})
     write_result(options.out, "What do repairs of visible sets cost in large scenes?", figures, details)
 
@@ -83,8 +84,8 @@ def compare(scene: Gaussians, count: int, seed: int) -> list[dict[str, Any]]:
         sightings = [finder.look(shared.points[k], fine=bool(shared.fine[k])) for k in around]
         voxels = viewpoints.voxels(cell)
         row: dict[str, Any] = {"cell": cell}
-        for way, is_slow in WAYS.items():
-            Finder._is_slow = is_slow  # type: ignore[method-assign, assignment]
+        for way, pay in WAYS.items():
+            FaintOnes.pay = pay  # type: ignore[method-assign, assignment]
             began = time.process_time()
             view = finder.find_cell(voxels, sightings)
             taken = time.process_time() - began

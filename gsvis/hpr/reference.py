@@ -51,8 +51,8 @@ def look_around_reference(
         spent: Transmittance below which light counts as spent.
 
     Returns:
-        Largest weight (N,), largest light in front over the covered pixels (N,), and depths (6, size, size) at which
-        light is spent.
+        Largest share of a pixel's light that each takes (N,), largest light in front over the covered pixels (N,), and
+        depths (6, size, size) at which light is spent.
     """
     weights = np.zeros(len(g))
     lights = np.zeros(len(g))
@@ -75,14 +75,17 @@ def look_around_reference(
             tx, ty = np.clip([x / z, y / z], -1.3, 1.3)
             focal = size / 2.0
             jacobian = focal / z * np.array([[1.0, 0.0, -tx], [0.0, 1.0, -ty]]) @ frame
-            conic = np.linalg.inv(jacobian @ g.covars()[i] @ jacobian.T + 0.3 * np.eye(2))
+            sharp = jacobian @ g.covars()[i] @ jacobian.T
+            blurred = sharp + 0.3 * np.eye(2)
+            cover = np.sqrt(np.linalg.det(sharp) / np.linalg.det(blurred))
+            conic = np.linalg.inv(blurred)
             dx, dy = np.meshgrid(centers - focal * (x / z + 1.0), centers - focal * (y / z + 1.0))
             power = conic[0, 0] * dx * dx + 2.0 * conic[0, 1] * dx * dy + conic[1, 1] * dy * dy
             alpha = g.opacities[i] * np.exp(-0.5 * power)
             alpha = np.where(alpha >= 1.0 / 255.0, np.minimum(alpha, 0.999), 0.0)
-            weights[i] = max(weights[i], (alpha * left[face]).max())
+            weights[i] = max(weights[i], cover * (alpha * left[face]).max())
             lights[i] = max(lights[i], np.where(alpha > 0.0, left[face], 0.0).max())
-            after = left[face] * (1.0 - alpha)
+            after = left[face] * (1.0 - cover * alpha)
             depths[face][(after < spent) & (left[face] >= spent)] = far[i]
             left[face] = after
     return weights, lights, depths

@@ -1,8 +1,10 @@
 """Build a hierarchical z-buffer for Gaussians: how far an eye sees in every direction, and which Gaussians it sees.
 
 Gaussians are splatted front to back onto a cube around the eye (EWA, as in the rasterizer, but ordered by distance, so
-that no direction is special). Gaussians behind spent light are skipped a cluster at a time. The depth is recorded where
-light is spent. Pyramids of least and largest depths test anything else. World frame, scene units.
+that no direction is special). Blur does not add to the light that a Gaussian takes (Yu et al. 2024, "Mip-Splatting"),
+so light passes between Gaussians smaller than a pixel. Gaussians behind spent light are skipped a cluster at a time.
+The depth is recorded where light is spent. Pyramids of least and largest depths test anything else. World frame, scene
+units.
 """
 
 from __future__ import annotations
@@ -149,8 +151,10 @@ class Seen:
 
     Attributes:
         ids: (K,) int64, ascending: the Gaussians that some light reaches.
-        weights: (K,) float32, largest weight of each over the pixel centers where light is not spent in front.
-        light: (K,) float32, largest transmittance in front of each, over the pixels it covers; opacity times this
+        weights: (K,) float32, largest share of a pixel's light that each takes, over the pixels where light is not
+            spent in front. A Gaussian much larger than a pixel takes its weight at the center; one smaller than a
+            pixel takes less, by the share of the pixel that it covers.
+        light: (K,) float32, largest transmittance in front of each, over the pixels it reaches; opacity times this
             is the weight of its peak there.
         zbuffer: Where the light ends.
     """

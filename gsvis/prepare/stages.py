@@ -72,7 +72,7 @@ __all__ = ["VERSIONS", "StageColors", "StageRecord", "Stages", "around_of"]
 
 VERSIONS = {
     "levels": 9,
-    "sets": 4,
+    "sets": 5,
     "joined": 3,
     "colors": 3,
     "epsilon": 1,

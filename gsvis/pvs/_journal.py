@@ -10,8 +10,9 @@ import zstandard
 from numpy.typing import NDArray
 
 from gsvis.jobs.resume import KeptWork
-from gsvis.pvs.cell_view import CellView, Figures, Sighting
+from gsvis.pvs.cell_view import CellView, Figures
 from gsvis.pvs.codec import CodecError, decompress
+from gsvis.pvs.sightings import Sighting
 
 __all__ = [
     "find_kept",
@@ -28,7 +29,7 @@ __all__ = [
 
 U8 = NDArray[np.uint8]
 
-_SIGHTING = struct.Struct("<III3d")
+_SIGHTING = struct.Struct("<II3d")
 _VIEW = struct.Struct("<II3I3d")
 _ID = 4  # bytes of an id: difference to the previous one
 _SEEN = _ID + 1  # and its class
@@ -40,8 +41,8 @@ _FREE = 1 << 17  # bytes that an entry may have beside its Gaussians, and what z
 
 def pack_sighting(sighting: Sighting) -> bytes:
     """Return what a viewpoint sees as bytes. `unpack_sighting` reads them."""
-    head = _SIGHTING.pack(len(sighting.ids), len(sighting.faint), sighting.looks, *sighting.viewpoint.tolist())
-    return head + _compress(_pack_seen(sighting.ids, sighting.classes) + _pack_ids(sighting.faint))
+    head = _SIGHTING.pack(len(sighting.ids), sighting.looks, *sighting.viewpoint.tolist())
+    return head + _compress(_pack_seen(sighting.ids, sighting.classes))
 
 
 def unpack_sighting(data: bytes, gaussians: int) -> Sighting | None:
@@ -54,13 +55,15 @@ def unpack_sighting(data: bytes, gaussians: int) -> Sighting | None:
     """
     if len(data) < _SIGHTING.size:
         return None
-    count, faint, looks, *viewpoint = _SIGHTING.unpack_from(data)
-    if count + faint > gaussians:
+    count, looks, *viewpoint = _SIGHTING.unpack_from(data)
+    if count > gaussians:
         return None
-    body = _expand(data[_SIGHTING.size :], _SEEN * count + _ID * faint)
+    body = _expand(data[_SIGHTING.size :], _SEEN * count)
     seen = None if body is None else _unpack_seen(body, count, gaussians)
-    ids = None if body is None else _unpack_ids(body[_SEEN * count :], faint, gaussians)
-    return None if seen is None or ids is None else Sighting(np.array(viewpoint), looks, *seen, ids)
+    if seen is None:
+        return None
+    ids, classes = seen
+    return Sighting(np.array(viewpoint), looks, ids, classes.view(np.int8))
 
 
 def pack_view(view: CellView) -> bytes:
@@ -136,7 +139,7 @@ def _pack_ids(ids: NDArray[np.int32]) -> bytes:
     return bytes(deltas.view(np.uint8).reshape(-1, _ID).T.tobytes())
 
 
-def _pack_seen(ids: NDArray[np.int32], classes: U8) -> bytes:
+def _pack_seen(ids: NDArray[np.int32], classes: U8 | NDArray[np.int8]) -> bytes:
     """Return packed ids with their classes."""
     return _pack_ids(ids) + classes.tobytes()
 

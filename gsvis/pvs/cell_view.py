@@ -22,24 +22,24 @@ from gsvis.pvs.certificate import Certificate, CertificateConfig
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.prepared import PreparedLevels
 from gsvis.pvs.probes import Tips, farthest_points
+from gsvis.pvs.sightings import FaintOnes, Sighting
 from gsvis.pvs.tiles import probe_tiles
 from gsvis.pvs.viewpoints import FreeVoxels
+from gsvis.pvs.weight_classes import UNSEEN, WeightClasses
 from gsvis.raycast import Tracer
 from gsvis.raycast.directions import NUM_FACES, face_planes
 from gsvis.scene.levels import Levels
 
-__all__ = ["CellView", "Figures", "Finder", "Sighting"]
+__all__ = ["CellView", "Figures", "Finder"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
+I8 = NDArray[np.int8]
 U8 = NDArray[np.uint8]
 
-_FAINTEST = 0.25  # least weight, over tau, of what looks find too faint for a set; one that misses light takes it
-# classes of what is faint, and of what no look found
-_FAINT = -1
-_UNSEEN = -2
+_FAINT = -2  # class down to which a repair takes what its look finds, at least
 _AIM_SIZE = 32  # pixels along a side of the faces on which a viewpoint marks where something may lie
 _FILLED = 0.25  # share of its directions below which its faces are finer, so that as many pixels meet something
 _FINEST = 4.0  # times
@@ -54,30 +54,7 @@ _PROBE_FLOOR = 0.05  # least weight of a missing Gaussian that a probe counts
 _PROBE_LOSS = 0.1  # sum of these weights from which the eye looks finely
 _FINE_FLOOR = 4.0  # least weight, over tau, of what a fine look after a probe adds: a set should stay small
 _CLEAN = 4  # probes in a row that find nothing, after which there are no more
-_SLOW = 0.5  # part of the missed light that is left after a repair, above which the next ones look more finely
-_CLOSER = 4.0  # times
-_COUNTS_AS = 3  # repairs, of one with these looks
-_LARGEST = 4096  # most pixels along a side of a face
 _CHECKED = 8  # rays of a cell that a second tracer may trace again
-
-
-@dataclass(frozen=True, eq=False)
-class Sighting:
-    """The Gaussians that one viewpoint sees.
-
-    Attributes:
-        viewpoint: (3,) the viewpoint.
-        looks: Levels that were looked at, without those in which it lies inside something solid.
-        ids: (V,) int32, Gaussians of weight tau or more in some level, ascending.
-        classes: (V,) uint8, class of the largest weight of each.
-        faint: (F,) int32, Gaussians of less weight in every level, but a quarter of tau or more in some, ascending.
-    """
-
-    viewpoint: F64
-    looks: int
-    ids: I32
-    classes: U8
-    faint: I32
 
 
 @dataclass(frozen=True)
@@ -133,7 +110,7 @@ class Finder:
         self.levels = levels
         self.config = config
         self._prepared = PreparedLevels(levels, config, folder)
-        self._edges = config.class_edges.astype(np.float32)
+        self._classes = WeightClasses(config.class_edges)
         self._planes = face_planes()
 
     @property
@@ -150,7 +127,7 @@ class Finder:
 
     def look(self, viewpoint: F64, *, fine: bool = True) -> Sighting:
         """Return what a viewpoint (3,) sees in each level drawn alone; unless `fine`, coarsely in the highest only."""
-        best = np.full(len(self.levels.union), _UNSEEN, np.int8)
+        best = np.full(len(self.levels.union), UNSEEN, np.int8)
         looks = 0
         top = len(self.levels) - 1
         for level in range(0 if fine else top, top + 1):
@@ -158,9 +135,8 @@ class Finder:
                 ids, classes = self._see(level, viewpoint, fine=fine)
                 best[ids] = np.maximum(best[ids], classes)
                 looks += 1
-        found = np.flatnonzero(best >= 0)
-        faint = np.flatnonzero(best == _FAINT)
-        return Sighting(viewpoint, looks, found.astype(np.int32), best[found].astype(np.uint8), faint.astype(np.int32))
+        found = np.flatnonzero(best > UNSEEN)
+        return Sighting(viewpoint, looks, found.astype(np.int32), best[found])
 
     def find_cell(self, voxels: FreeVoxels, sightings: Sequence[Sighting]) -> CellView:
         """Return the view of a cell.
@@ -171,7 +147,7 @@ class Finder:
         """
         view = _Growing(self)
         for sighting in sightings:
-            view.add(sighting.ids, sighting.classes.view(np.int8), sighting.viewpoint[None])
+            view.add(sighting.ids[sighting.seen], sighting.classes[sighting.seen], sighting.viewpoint[None])
         shared = sum(sighting.looks > 0 for sighting in sightings)
         inner = self._probe(voxels, sightings, view)
         rays = 0
@@ -194,14 +170,12 @@ class Finder:
         figures = Figures(shared + inner, inner, rays, *worst)
         return CellView(ids.astype(np.int32), view.best[ids].astype(np.uint8), view.sets[ids], figures, checked)
 
-    def look_again(self, level: int, viewpoint: F64, scale: float) -> tuple[I64, NDArray[np.int8]]:
-        """Return the union ids that a viewpoint (3,) sees in a level, and their classes; `scale` multiplies pixels."""
-        return self._see(level, viewpoint, scale=scale)
+    def look_again(self, level: int, viewpoint: F64) -> tuple[I64, I8]:
+        """Return the union ids that a viewpoint (3,) sees in a level, and their classes."""
+        return self._see(level, viewpoint)
 
-    def _see(
-        self, level: int, viewpoint: F64, *, fine: bool = True, floor: float | None = None, scale: float = 1.0
-    ) -> tuple[I64, NDArray[np.int8]]:
-        """Return the union ids that a viewpoint sees in a level, and their classes; `scale` multiplies the pixels."""
+    def _see(self, level: int, viewpoint: F64, *, fine: bool = True, floor: float | None = None) -> tuple[I64, I8]:
+        """Return the union ids that a viewpoint sees in a level, and their classes."""
         finer = self._finer(level, viewpoint)
         size = self.config.size
         if level < len(self.levels) - 1:
@@ -210,12 +184,11 @@ class Finder:
             pixels = max(1.0, _SMALLER * finer) * size
         else:
             pixels = max(4.0, _COARSE * finer * size)
-        faint = _FAINTEST * self.config.tau if floor is None else None
+        faint = self._classes.faintest if floor is None else None
         prepared = self._prepared[level]
-        size = round(min(scale * pixels, max(pixels, _LARGEST)))
-        hull = finer == 1.0 and scale == 1.0  # its z-buffer takes memory
-        ids, weights = prepared.look(viewpoint, size=size, floor=floor, faint=faint, hull=hull)
-        return prepared.ids[ids], self._classify(weights)
+        hull = finer == 1.0  # its z-buffer takes memory
+        ids, weights = prepared.look(viewpoint, size=round(pixels), floor=floor, faint=faint, hull=hull)
+        return prepared.ids[ids], self._classes.of(weights)
 
     def _finer(self, level: int, viewpoint: F64) -> float:
         """Return the factor by which the faces around a viewpoint are finer, if most directions show the void.
@@ -229,10 +202,6 @@ class Finder:
         if len(prepared.core):
             share = min(share, share_of_centers(prepared.core, viewpoint, _AIM_SIZE))
         return 1.0 if share == 0.0 else float(np.clip(np.sqrt(_FILLED / share), 1.0, _FINEST))
-
-    def _classify(self, weights: F32) -> NDArray[np.int8]:
-        """Return the classes of weights; below tau, `_FAINT`."""
-        return (np.searchsorted(self._edges, weights, side="right") - 1).astype(np.int8)
 
     def _probe(self, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> int:
         """Add missing Gaussians that are seen from the tips of the cell and from points far from all eyes.
@@ -284,7 +253,7 @@ class Finder:
         ids, weights = prepared.look(eye, size=min(_PROBE_SIZE, self.config.size), floor=_PROBE_FLOOR)
         places = prepared.ids[ids]
         missing = view.best[places] < 0
-        view.add(places[missing], self._classify(weights[missing]), eye[None])
+        view.add(places[missing], self._classes.of(weights[missing]), eye[None])
         return float(weights[missing].sum())
 
     def _mend(self, level: int, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> _Mended:
@@ -298,9 +267,8 @@ class Finder:
         certificates: list[Certificate] = []
         inner = 0
         tile = 0.0
-        faint = True
+        faint = FaintOnes(sightings, self.levels.member(level), config.limit)
         looks = _Looks(self, level)
-        repairs = 0
         while True:
             held = view.best[places] >= 0
             stage = 1 + len(certificates) + (level << 16)
@@ -308,40 +276,24 @@ class Finder:
             if found is None:
                 break
             certificates.append(found)
-            view.add(places[found.ids], self._classify(found.id_weights), found.id_origins)
-            looks.begin_repair(self._is_slow(certificates))
-            repairs += 1 if looks.scale == 1.0 else _COUNTS_AS
+            view.add(places[found.ids], self._classes.of(found.id_weights), found.id_origins)
+            looks.begin_repair()
             count, tile = self._mend_tiles(level, found, view, looks)
             inner += count
-            ends = repairs > config.max_inner or not found.weights.any()
+            ends = len(certificates) > config.max_inner or not found.weights.any()
             if ends or (found.bound <= config.limit and tile <= config.tile_limit):
                 break
             if found.bound <= config.limit or found.missed <= _LOOKED * config.limit:
                 continue
-            if faint:
-                self._add_faint(level, sightings, view)
-                faint = False
-            elif not (count and looks.scale > 1.0):
+            if faint.pay(found.missed):
+                for ids, eye in faint.take(found.missed):
+                    view.add_missing(ids, eye)
+            else:
                 ids, classes = looks.see(found.worst_o[0])
-                view.add(ids, np.maximum(classes, 0), found.worst_o[:1])
+                some = classes >= min(faint.taken, _FAINT)
+                view.add(ids[some], np.maximum(classes[some], 0), found.worst_o[:1])
                 inner += 1
         return _Mended(certificates, inner, tile)
-
-    def _is_slow(self, certificates: Sequence[Certificate]) -> bool:
-        """Return whether the last repair left much of the missed light, because looks are too coarse to find it."""
-        if self.config.method != "hybrid" or len(certificates) < 2:
-            return False  # with other methods pixels cost time
-        before, last = certificates[-2:]
-        return last.missed > max(self.config.limit, _SLOW * before.missed)
-
-    def _add_faint(self, level: int, sightings: Sequence[Sighting], view: _Growing) -> None:
-        """Add missing Gaussians of a level that shared viewpoints saw faintly."""
-        wanted = np.zeros(len(view.best), bool)
-        wanted[self._prepared[level].ids] = True
-        wanted &= view.best < 0
-        for each in sightings:
-            ids = each.faint[wanted[each.faint]]
-            view.add(ids, np.zeros(len(ids), np.int8), each.viewpoint[None])
 
     def _mend_tiles(self, level: int, found: Certificate, view: _Growing, looks: _Looks) -> tuple[int, float]:
         """Add missing Gaussians in tiles around the worst rays; return the number of looks and the worst tile left.
@@ -355,7 +307,7 @@ class Finder:
         for turn in range(_TURNS):
             held = view.best[places] >= 0
             tiles = probe_tiles(tracer, held, found.worst_o, found.worst_d, config.tau, turn=turn)
-            view.add(places[tiles.ids], self._classify(tiles.id_weights), tiles.id_origins)
+            view.add(places[tiles.ids], self._classes.of(tiles.id_weights), tiles.id_origins)
             tile = float(tiles.missed.max(initial=0.0))
             if tile <= config.tile_limit or turn == _TURNS - 1:
                 break
@@ -368,35 +320,27 @@ class Finder:
 
 
 class _Looks:
-    """The looks that repair a level of a cell. They become finer where a repair with coarse ones found little.
-
-    An eye that looked in this repair does not look again.
+    """The looks that repair a level of a cell. An eye that looked in this repair does not look again.
 
     Args:
         finder: Its levels.
         level: The level.
-
-    Attributes:
-        scale: Pixels along a side of the faces of looks, over those of a fine look.
     """
 
     def __init__(self, finder: Finder, level: int) -> None:
-        self.scale = 1.0
         self._finder = finder
         self._level = level
-        self._seen: dict[bytes, tuple[I64, NDArray[np.int8]]] = {}  # what each eye saw in this repair
+        self._seen: dict[bytes, tuple[I64, I8]] = {}  # what each eye saw in this repair
 
-    def begin_repair(self, slow: bool) -> None:
-        """Forget the looks of the last repair; if there were any and that was slow, make all later ones finer."""
-        if slow and self._seen:
-            self.scale = _CLOSER
+    def begin_repair(self) -> None:
+        """Forget the looks of the last repair."""
         self._seen.clear()
 
-    def see(self, eye: F64) -> tuple[I64, NDArray[np.int8]]:
+    def see(self, eye: F64) -> tuple[I64, I8]:
         """Return the union ids that an eye (3,) sees in the level, and their classes."""
         name = eye.tobytes()
         if name not in self._seen:
-            self._seen[name] = self._finder.look_again(self._level, eye, self.scale)
+            self._seen[name] = self._finder.look_again(self._level, eye)
         return self._seen[name]
 
 
@@ -428,7 +372,12 @@ class _Growing:
         self.best = np.full(len(self._means), -1, np.int8)
         self.sets = np.zeros((len(self._means), NUM_FACES // 8), np.uint8)
 
-    def add(self, ids: I32 | I64, classes: NDArray[np.int8], viewpoints: F64) -> None:
+    def add(self, ids: I32 | I64, classes: I8, viewpoints: F64) -> None:
         """Add Gaussians (V,) with the classes of their weights, seen from viewpoints (V, 3), or all from one (1, 3)."""
         eyes = np.ascontiguousarray(viewpoints)
         kernels.add_seen(ids.astype(np.int64), classes, eyes, self._means, *self._planes, self.best, self.sets)
+
+    def add_missing(self, ids: I32, viewpoint: F64) -> None:
+        """Add those of different Gaussians (V,) that are missing, with the lowest class, seen from one place (3,)."""
+        missing = ids[self.best[ids] < 0]
+        self.add(missing, np.zeros(len(missing), np.int8), viewpoint[None])

@@ -35,8 +35,8 @@ class PvsConfig:
             this.
         rays: Most rays of a certificate. 0 certifies nothing: sets stay as viewpoints found them.
         tracer: What traces these rays: one of `TRACERS`.
-        max_inner: Largest number of times that a set is repaired and certified again; a repair with finer looks counts
-            as three. A set that is still above the limits is kept, with its bound.
+        max_inner: Largest number of times that a set is repaired and certified again. A set that is still above the
+            limits is kept, with its bound.
         probes: Largest number of coarse looks at the highest level, from the tips of a cell and from points far from
             its viewpoints. If one finds missing light, its eye looks at `size`. 0 for none.
         class_ratio: Lowest weight of a class over that of the class below. The lowest class begins at tau.

@@ -25,7 +25,8 @@ from gsvis.pvs._journal import (
     read_sighting,
     read_view,
 )
-from gsvis.pvs.cell_view import CellView, Figures, Sighting
+from gsvis.pvs.cell_view import CellView, Figures
+from gsvis.pvs.sightings import Sighting
 from gsvis.pvs.store import CellSet, VisibilityStore, write_store
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import random_scene
@@ -181,8 +182,8 @@ def journals() -> list[Case]:
         directions = rng.integers(0, 256, (len(ids), 10)).astype(np.uint8)
         view = CellView(ids, classes, directions, figures, rng.normal(size=(k, 6)))
         found[name_cell(k)] = seal(pack_view(view))
-        faint = np.setdiff1d(np.arange(0, SEEN, 7, np.int32), ids)
-        found[name_viewpoint(k)] = seal(pack_sighting(Sighting(rng.normal(size=3), 1, ids, classes, faint)))
+        sighting = Sighting(rng.normal(size=3), 1, ids, (ids % 9 - 6).astype(np.int8))
+        found[name_viewpoint(k)] = seal(pack_sighting(sighting))
     return [{**found, "plan.json": b"{}\n"}]
 
 

@@ -53,6 +53,22 @@ def test_it_finds_what_splatting_everything_finds(seed: int, size: int) -> None:
     assert same.mean() > 0.999  # a pixel whose light ends within rounding of the bound may end one Gaussian later
 
 
+@pytest.mark.parametrize("size", [12, 40, 120])
+def test_the_light_between_specks_does_not_depend_on_the_size_of_pixels(size: int) -> None:
+    rng = np.random.default_rng(0)
+    count = 10_000
+    radius = 0.024  # 0.07 to 0.7 pixels
+    means = np.column_stack([np.full(count, 2.0), rng.uniform(-3.0, 3.0, (count, 2))])
+    quats = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    g = Gaussians(means, quats, np.full((count, 3), radius), np.full(count, 0.9), np.zeros((count, 1, 3)))
+    seen = look_around(Splats.from_gaussians(g), np.zeros(3), size=size)
+    some = slice(3 * size // 8, -(3 * size // 8))
+    middle = seen.zbuffer.light[0, some, some]
+    inside = np.count_nonzero(np.abs(means[:, 1:]).max(axis=1) < 0.5)  # of a square of 1 x 1
+    layers = inside * 0.9 * 2.0 * np.pi * radius**2  # opacity times area
+    assert middle.mean() == pytest.approx(np.exp(-layers), rel=0.08)
+
+
 @pytest.mark.parametrize("name", sorted(OCCLUDER_SCENES))
 def test_nothing_visible_is_missing_and_nothing_behind_a_solid_wall_is_kept(name: str) -> None:
     scene = builtin_scene(name)

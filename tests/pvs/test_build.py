@@ -24,9 +24,10 @@ from gsvis.jobs.workers import Workers
 from gsvis.pvs import build
 from gsvis.pvs._journal import name_cell, name_viewpoint
 from gsvis.pvs.build import build_pvs, journal_of
-from gsvis.pvs.cell_view import CellView, Finder, Sighting
+from gsvis.pvs.cell_view import CellView, Finder
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.estimate import estimate_pvs
+from gsvis.pvs.sightings import Sighting
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
 from gsvis.scene.gaussians import Gaussians

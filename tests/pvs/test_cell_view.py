@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 from gsvis.errors import SceneError
 from gsvis.pvs import PvsConfig, cell_view
 from gsvis.pvs._journal import pack_sighting, pack_view
-from gsvis.pvs.cell_view import CellView, Finder, Sighting
+from gsvis.pvs.cell_view import CellView, Finder
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.look import METHODS, Look
+from gsvis.pvs.sightings import Sighting
 from gsvis.pvs.viewpoints import CellViewpoints, FreeVoxels, SharedViewpoints
+from gsvis.pvs.weight_classes import FAINTEST
 from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.raycast.directions import face_of
 from gsvis.scene.gaussians import Gaussians
@@ -37,7 +39,6 @@ SIZES = {"hybrid": 384, "raster": 384, "raycast": 64}
 # so there they must be of few.
 COUNTS = {"hybrid": 20_000, "raster": 20_000, "raycast": 1200}
 FINDERS: dict[tuple[str, str], tuple[OccluderScene, Finder]] = {}
-NONE = np.zeros(0, np.int32)
 QUICK = PvsConfig(size=16, limit=0.05, rays=256, max_inner=2)
 
 
@@ -58,7 +59,7 @@ def test_no_visible_gaussian_is_missing_and_none_behind_a_wall_is_kept(name: str
     for eye, shown, hidden in zip(scene.viewpoints[:2], scene.visible, scene.hidden, strict=False):
         seen = finder.look(eye)
         mask = np.zeros(len(scene.gaussians), bool)
-        mask[seen.ids] = True
+        mask[seen.ids[seen.seen]] = True
         assert seen.looks == 1
         assert np.array_equal(seen.viewpoint, eye)
         assert not (hidden & mask).any(), f"kept {np.count_nonzero(hidden & mask)}"
@@ -109,10 +110,11 @@ def test_classes_of_a_sighting_are_those_of_its_weights() -> None:
     config, eye = finder.config, scene.viewpoints[0]
     seen = finder.look(eye)
     ids, weights = Look(scene.gaussians, config.method, config.size, config.tau)(eye)
-    assert np.array_equal(seen.ids, ids)
+    assert np.array_equal(seen.ids[seen.seen], ids)
+    classes = seen.classes[seen.seen]
     edges = [*config.class_edges, np.inf]
     for level in range(len(config.class_edges)):
-        some = weights[seen.classes == level]
+        some = weights[classes == level]
         assert (some >= np.float32(edges[level])).all()
         assert (some < np.float32(edges[level + 1])).all()
 
@@ -134,10 +136,10 @@ def sightings_of(cell: int) -> list[Sighting]:
     return [finder.look(shared.points[k]) for k in shared.of_cell(cell)]
 
 
-def everything(eye: F64, classes: int | NDArray[np.uint8] = 0) -> Sighting:
+def everything(eye: F64, classes: int | NDArray[np.int8] = 0) -> Sighting:
     """A viewpoint that sees all of the rooms."""
     count = len(rooms()[0].levels.union)
-    return Sighting(eye, 1, np.arange(count, dtype=np.int32), np.full(count, classes, np.uint8), NONE)
+    return Sighting(eye, 1, np.arange(count, dtype=np.int32), np.full(count, classes, np.int8))
 
 
 def same(a: CellView, b: CellView) -> bool:
@@ -150,13 +152,14 @@ def test_what_shared_viewpoints_see_is_in_the_set_with_its_class_and_direction(c
     sightings = sightings_of(cell)
     view = finder.find_cell(viewpoints.voxels(cell), sightings)
     assert (np.diff(view.ids) > 0).all()
-    for seen in sightings:
-        rows = np.searchsorted(view.ids, seen.ids)
-        assert np.array_equal(view.ids[rows], seen.ids)
-        assert (view.classes[rows] >= seen.classes).all()
-        faces = face_of(seen.viewpoint - finder.levels.union.means[seen.ids])
+    for each in sightings:
+        ids = each.ids[each.seen]
+        rows = np.searchsorted(view.ids, ids)
+        assert np.array_equal(view.ids[rows], ids)
+        assert (view.classes[rows] >= each.classes[each.seen]).all()
+        faces = face_of(each.viewpoint - finder.levels.union.means[ids])
         assert ((view.directions[rows, faces >> 3] >> (faces & 7)) & 1).all()
-    assert view.figures.viewpoints == sum(seen.looks for seen in sightings) + view.figures.inner
+    assert view.figures.viewpoints == sum(each.looks for each in sightings) + view.figures.inner
 
 
 @pytest.mark.parametrize("cell", [1, 4])
@@ -175,40 +178,35 @@ def test_more_viewpoints_never_shrink_what_a_set_was_found_from() -> None:
     sightings = sightings_of(2)
     for count in range(len(sightings) + 1):
         view = finder.find_cell(viewpoints.voxels(2), sightings[:count])
-        for seen in sightings[:count]:
-            assert np.isin(seen.ids, view.ids).all()
+        for each in sightings[:count]:
+            assert np.isin(each.ids[each.seen], view.ids).all()
 
 
 def test_a_set_that_misses_light_takes_what_was_faint_before_anyone_looks_again() -> None:
     _, viewpoints, _ = rooms()
     finder = another(probes=0, tile_limit=1.0, max_inner=1)
-    eye, some = (
-        viewpoints.draw(1, 1, np.random.default_rng(0))[0],
-        np.arange(len(rooms()[0].levels.union), dtype=np.int32),
-    )
-    classes = np.zeros(len(some[::2]), np.uint8)
-    lacking = Sighting(eye, 1, some[::2], classes, some[1::2])
-    view = finder.find_cell(viewpoints.voxels(1), [lacking])
-    assert view.ids.tolist() == some.tolist()
+    eye = viewpoints.draw(1, 1, np.random.default_rng(0))[0]
+    count = len(rooms()[0].levels.union)
+    classes = np.where(np.arange(count) % 2, np.int8(-1), np.int8(0))
+    view = finder.find_cell(viewpoints.voxels(1), [everything(eye, classes)])
+    assert view.ids.tolist() == list(range(count))
     assert view.figures.inner == 0
     assert view.figures.missed == 0.0
-    whole = finder.find_cell(viewpoints.voxels(1), [replace(everything(eye), faint=some[:0])])
-    assert whole.ids.tolist() == some.tolist()
 
 
 def test_what_a_look_finds_faint_is_in_no_set_of_its_own() -> None:
     scene, finder = finder_of("rooms", "hybrid")
-    seen = finder.look(scene.viewpoints[0])
-    assert len(seen.faint) > 0
-    assert not np.intersect1d(seen.ids, seen.faint).size
-    assert (np.diff(seen.faint) > 0).all()
+    found = finder.look(scene.viewpoints[0])
+    assert 0 < np.count_nonzero(found.seen) < len(found.ids)
+    assert (found.classes >= FAINTEST).all()
+    assert (np.diff(found.ids) > 0).all()
 
 
 def test_where_nothing_is_missed_the_set_is_what_viewpoints_see() -> None:
     finder, viewpoints, _ = rooms()
     g, rng = finder.levels.union, np.random.default_rng(0)
     eyes = viewpoints.draw(1, 3, rng)
-    classes = rng.integers(0, 4, (3, len(g))).astype(np.uint8)
+    classes = rng.integers(0, 4, (3, len(g))).astype(np.int8)
     view = finder.find_cell(viewpoints.voxels(1), [everything(eye, c) for eye, c in zip(eyes, classes, strict=True)])
     assert view.ids.tolist() == list(range(len(g)))
     assert np.array_equal(view.classes, classes.max(axis=0))
@@ -291,7 +289,7 @@ def test_without_rays_a_set_is_what_looks_and_probes_find_and_has_no_certificate
     assert (bare.figures.rays, len(bare.checked)) == (0, 0)
     assert np.isnan([bare.figures.missed, bare.figures.bound, bare.figures.tile]).all()
     unprobed = another(rays=0, probes=0).find_cell(voxels, sightings)
-    assert np.array_equal(unprobed.ids, np.unique(np.concatenate([seen.ids for seen in sightings])))
+    assert np.array_equal(unprobed.ids, np.unique(np.concatenate([each.ids[each.seen] for each in sightings])))
     assert np.isin(unprobed.ids, bare.ids).all()
     assert np.isin(bare.ids, rooms()[0].find_cell(voxels, sightings).ids).all()
 
@@ -385,7 +383,7 @@ def level_discs() -> Levels:
 @pytest.mark.parametrize("held", [[], [0], [1], [0, 1]])
 def test_each_level_is_certified_alone_and_the_worst_one_counts(held: list[int]) -> None:
     finder = Finder(level_discs(), replace(QUICK, max_inner=0, tile_limit=1.0, probes=0))
-    seen = Sighting(np.full(3, 0.5), 1, np.array(held, np.int32), np.zeros(len(held), np.uint8), NONE)
+    seen = Sighting(np.full(3, 0.5), 1, np.array(held, np.int32), np.zeros(len(held), np.int8))
     view = finder.find_cell(one_cell(1.0), [seen])
     assert view.ids.tolist() == [0, 1]  # neither disc hides the other
     assert view.figures.missed == float(len(held) < 2)
@@ -483,7 +481,7 @@ def dust() -> tuple[Finder, CellViewpoints]:
     g = Gaussians(0.3 * rng.normal(size=(count, 3)), quats, scales, np.full(count, 0.9), np.zeros((count, 1, 3)))
     space = NavigableSpace.from_box((3, -1, -1), (5, 1, 1), 4)
     viewpoints = CellViewpoints(CellGrid.over(space, max_cells=1), space)
-    return Finder(Levels.single(g), PvsConfig(size=8, limit=0.001, rays=1024, probes=0)), viewpoints
+    return Finder(Levels.single(g), PvsConfig(size=8, limit=0.01, rays=1024, probes=0)), viewpoints
 
 
 def note_looks(monkeypatch: pytest.MonkeyPatch) -> list[tuple[bytes, int]]:
@@ -511,18 +509,11 @@ def test_an_eye_looks_once_in_a_repair_and_that_changes_no_bit(monkeypatch: pyte
     assert pack_view(view) == pack_view(again)
 
 
-def test_where_a_repair_finds_little_the_next_looks_are_finer_and_fewer_prove_as_much(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_of_what_is_smaller_than_a_pixel_a_set_takes_what_was_faint_and_nobody_looks_again() -> None:
     finder, viewpoints = dust()
-    looks = note_looks(monkeypatch)
-    view = finder.find_cell(viewpoints.voxels(0), [])
-    sizes = [size for _, size in looks]
-    assert max(sizes[:2]) < 3 * min(sizes) < max(sizes)
-    finer = [size >= 3 * min(sizes) for size in sizes]
-    assert finer == sorted(finer)
-    monkeypatch.setattr(Finder, "_is_slow", lambda self, certificates: False)
-    coarse = finder.find_cell(viewpoints.voxels(0), [])
-    assert view.figures.inner < coarse.figures.inner
-    assert view.figures.rays < coarse.figures.rays
-    assert view.figures.bound < coarse.figures.bound
+    sightings = [finder.look(point) for point in SharedViewpoints(viewpoints).points]
+    seen = np.unique(np.concatenate([each.ids[each.seen] for each in sightings]))
+    view = finder.find_cell(viewpoints.voxels(0), sightings)
+    assert view.figures.bound <= finder.config.limit
+    assert view.figures.inner == 0
+    assert len(seen) < len(view.ids) < len(finder.levels.union)

@@ -28,7 +28,8 @@ from gsvis.pvs._journal import (
     unpack_sighting,
     unpack_view,
 )
-from gsvis.pvs.cell_view import CellView, Figures, Sighting
+from gsvis.pvs.cell_view import CellView, Figures
+from gsvis.pvs.sightings import Sighting
 
 N = 400
 """Gaussians of the scene."""
@@ -51,8 +52,7 @@ def some_view(seed: int) -> CellView:
 def some_sighting(seed: int) -> Sighting:
     rng = np.random.default_rng(seed)
     ids = some_ids(rng)
-    faint = np.setdiff1d(some_ids(rng), ids)
-    return Sighting(rng.normal(size=3), seed % 4, ids, rng.integers(0, 4, len(ids)).astype(np.uint8), faint)
+    return Sighting(rng.normal(size=3), seed % 4, ids, rng.integers(-6, 4, len(ids)).astype(np.int8))
 
 
 VIEWS = st.builds(some_view, st.integers(0, 100_000))
@@ -72,8 +72,8 @@ def same(a: CellView | None, b: CellView) -> bool:
 def same_sighting(a: Sighting | None, b: Sighting) -> bool:
     return (
         a is not None
-        and all(np.array_equal(getattr(a, name), getattr(b, name)) for name in ("ids", "classes", "viewpoint", "faint"))
-        and (a.looks, a.ids.dtype, a.classes.dtype, a.faint.dtype) == (b.looks, np.int32, np.uint8, np.int32)
+        and all(np.array_equal(getattr(a, name), getattr(b, name)) for name in ("ids", "classes", "viewpoint"))
+        and (a.looks, a.ids.dtype, a.classes.dtype) == (b.looks, np.int32, np.int8)
     )
 
 
@@ -185,9 +185,9 @@ def forged(count: int, packed: bytes, checked: int = 0) -> bytes:
     return seal(struct.pack("<II3I3d", count, checked, 1, 0, 64, 0.0, 0.5, 0.0) + packed)
 
 
-def forged_sighting(count: int, packed: bytes, faint: int = 0) -> bytes:
+def forged_sighting(count: int, packed: bytes) -> bytes:
     """A sighting whose checksum is right."""
-    return seal(struct.pack("<III3d", count, faint, 1, 0.0, 0.5, 1.0) + packed)
+    return seal(struct.pack("<II3d", count, 1, 0.0, 0.5, 1.0) + packed)
 
 
 def body_of(ids: list[int], more: int) -> bytes:
@@ -240,9 +240,6 @@ def test_a_right_checksum_over_a_wrong_sighting_counts_as_missing() -> None:
         (0xFFFFFFFF, sighting_bytes([4, 5, 9])),
     ):
         assert unkept_sighting(forged_sighting(count, packed)) is None
-    for faint in WRONG:
-        assert unkept_sighting(forged_sighting(0, body_of(faint, 0), faint=3)) is None
-    assert unkept_sighting(forged_sighting(0, body_of([4, 5, 9], 0), faint=3)) is not None
     assert unkept_sighting(forged_sighting(3, sighting_bytes([4, 5, 9])), 10) is not None
     assert unkept_sighting(forged_sighting(3, sighting_bytes([4, 5, 9])), 9) is None
 
@@ -255,7 +252,7 @@ def test_a_cell_or_a_viewpoint_may_see_all_of_a_large_scene(tmp_path: Path) -> N
     work.folder.mkdir()
     view = CellView(ids, classes, np.full((count, 10), 255, np.uint8), figures, np.zeros((8, 6)))
     work.keep(name_cell(0), pack_view(view))
-    work.keep(name_viewpoint(0), pack_sighting(Sighting(np.zeros(3), 1, ids, classes, ids[:0])))
+    work.keep(name_viewpoint(0), pack_sighting(Sighting(np.zeros(3), 1, ids, classes.view(np.int8))))
     found, seen = read_view(work, 0, count), read_sighting(work, 0, count)
     assert found is not None
     assert seen is not None
@@ -272,7 +269,7 @@ def test_what_does_not_compress_is_not_taken_for_damage(tmp_path: Path) -> None:
     directions = rng.integers(0, 256, (N, 10)).astype(np.uint8)
     view = CellView(ids, classes, directions, Figures(1, 0, 0, 0.0, 1.0, 0.0), rng.normal(size=(1024, 6)))
     work.keep(name_cell(0), pack_view(view))
-    work.keep(name_viewpoint(0), pack_sighting(Sighting(rng.normal(size=3), 1, ids, classes, ids[:0])))
+    work.keep(name_viewpoint(0), pack_sighting(Sighting(rng.normal(size=3), 1, ids, classes.view(np.int8))))
     assert same(read_view(work, 0, N), view)
     assert read_sighting(work, 0, N) is not None
 

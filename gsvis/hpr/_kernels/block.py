@@ -54,7 +54,7 @@ def _reached_rows(lanes: Builder, form: list[Any]) -> Any:
 
 
 @intrinsic
-def blend_block(typing_context, square, lit, form, spent, far, x, y, rows, most):
+def blend_block(typing_context, square, lit, form, spent, cover, far, x, y, rows, most):
     """Blend a Gaussian into a block of a square of pixels.
 
     Args:
@@ -63,6 +63,7 @@ def blend_block(typing_context, square, lit, form, spent, far, x, y, rows, most)
         lit: (64 + 16,) uint64, changed in place: for each row, bit x set if pixel x has light left.
         form: Six float32: c, lx, ly, A, B, C of log2 alpha from the block's first pixel.
         spent: Transmittance below which a pixel is spent.
+        cover: Share of the weight that is taken from the light.
         far: Distance of the Gaussian.
         x: First column of the block in the square.
         y: First row of the block in the square.
@@ -76,24 +77,25 @@ def blend_block(typing_context, square, lit, form, spent, far, x, y, rows, most)
     del typing_context
     f32 = types.float32
     i64 = types.int64
-    signature = i64(square, lit, types.UniTuple(f32, 6), f32, f32, i64, i64, i64, most)
+    signature = i64(square, lit, types.UniTuple(f32, 6), f32, f32, f32, i64, i64, i64, most)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
-        data, words, largest = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 1, 8))
+        data, words, largest = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 1, 9))
         form = cgutils.unpack_tuple(builder, args[2], 6)
         c, lx, ly, a, b, quadratic = (lanes.splat(entry) for entry in form)
         limit = lanes.splat(args[3])
-        far = lanes.splat(args[4])
-        column = args[5]
-        first = args[6]
+        cover = lanes.splat(args[4])
+        far = lanes.splat(args[5])
+        column = args[6]
+        first = args[7]
         k = lanes.counting()
         along = a.times_plus(k, lx).times_plus(k, c)
         across = b.times_plus(k, ly)
         room = [cgutils.alloca_once_value(builder, lanes.load(largest, _int(n)).value) for n in (0, LANES)]
         darkened = cgutils.alloca_once_value(builder, _int(0))
-        below = builder.sub(builder.shl(_int(1), args[7]), _int(1))
+        below = builder.sub(builder.shl(_int(1), args[8]), _int(1))
         todo = builder.and_(
             _reached_rows(lanes, form), builder.and_(_rows_with_light(builder, words, column, first), below)
         )
@@ -113,7 +115,7 @@ def blend_block(typing_context, square, lit, form, spent, far, x, y, rows, most)
         before = lanes.load(data, offset)
         seen = p.compare(">=", -_LOG2_255) & before.compare(">=", limit)
         weight = seen.where(p.exp2().least(0.999), 0.0) * before
-        after = before - weight
+        after = before - weight * cover
         lanes.store(after, data, offset)
         for place, vector in zip(room, (weight, seen.where(before, 0.0)), strict=True):
             builder.store(Vector(lanes, builder.load(place)).most(vector).value, place)

@@ -3,6 +3,9 @@
 Squares are independent, so each free thread takes the next one. A square keeps one bit for each pixel that has light
 left. Clusters are splatted nearest first, in rounds. A cluster, a Gaussian or a row of pixels is skipped if no pixel
 under it has light left. Skipping changes no result. Faces as in `sphere.py`.
+
+A blurred splat is wider than its Gaussian. It takes only the share of a pixel's light that the Gaussian covers, the
+ratio of the two areas; else splats smaller than a pixel would close the gaps between them.
 """
 
 from __future__ import annotations
@@ -195,12 +198,15 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square,
     uv = covars[i, _UPPER[au, av]]
     uw = covars[i, _UPPER[au, axis]]
     vw = covars[i, _UPPER[av, axis]]
-    sxx = max(np.float64(ju * ju * uu + np.float32(2.0) * ju * jv * uw + jv * jv * ww), 0.0) + DILATION
+    sharp_x = max(np.float64(ju * ju * uu + np.float32(2.0) * ju * jv * uw + jv * jv * ww), 0.0)
+    sharp_y = max(np.float64(ju * ju * vv + np.float32(2.0) * ju * jw * vw + jw * jw * ww), 0.0)
     sxy = np.float64(ju * ju * uv + ju * jw * uw + jv * ju * vw + jv * jw * ww)
-    syy = max(np.float64(ju * ju * vv + np.float32(2.0) * ju * jw * vw + jw * jw * ww), 0.0) + DILATION
+    sxx = sharp_x + DILATION
+    syy = sharp_y + DILATION
     level = np.float64(near[i, 4]) * near[i, 4]
     # A thin splat far off the axis: rounding must not make its determinant 0.
     det = max(sxx * syy - sxy * sxy, DILATION * DILATION)
+    cover = np.float32(math.sqrt(min(max(sharp_x * sharp_y - sxy * sxy, 0.0) / det, 1.0)))
     a = syy / det
     b = -sxy / det
     c = sxx / det
@@ -226,8 +232,8 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square,
                 np.float32(qb),
                 np.float32(qc),
             )
-            darkened += blend_block(square, lit, form, spent, far, x, y, min(y1 + 1 - y, LANES), most)
-    weight = take_largest(most, 0)
+            darkened += blend_block(square, lit, form, spent, cover, far, x, y, min(y1 + 1 - y, LANES), most)
+    weight = take_largest(most, 0) * cover
     clear = take_largest(most, 1)
     if clear >= spent:
         place = 2 * ids[i]
@@ -390,8 +396,8 @@ def splat_squares(taken, scene, eye, size, spent, nearest, rectangles, lists, co
         rectangles: (6, B, 4) int16, where each cluster lies.
         lists: (6, B) int64, the clusters of each face, nearest first.
         counts: (6,) int64, number of clusters of each face.
-        best: (2 N,) float32, zeros; receives for each Gaussian its largest weight and the largest light in front, over
-            pixels that are not spent.
+        best: (2 N,) float32, zeros; receives for each Gaussian the largest share of a pixel's light that it takes and
+            the largest light in front, over pixels that are not spent.
         light: (6, S, S) float32, receives the light left behind everything, or the first value below `spent`; (6, 0, 0)
             keeps none.
         depths: (6, S, S) float32, receives the distance at which light fell below `spent`, or inf; (6, 0, 0) keeps
