@@ -286,8 +286,9 @@ class Finder:
             if found.bound <= config.limit or found.missed <= _LOOKED * config.limit:
                 continue
             if faint.pay(found.missed):
+                missing = view.best < 0  # before any is added: it may be faint from more than one viewpoint
                 for ids, eye in faint.take(found.missed):
-                    view.add_missing(ids, eye)
+                    view.add_faint(ids[missing[ids]], eye)
             else:
                 ids, classes = looks.see(found.worst_o[0])
                 some = classes >= min(faint.taken, _FAINT)
@@ -377,7 +378,6 @@ class _Growing:
         eyes = np.ascontiguousarray(viewpoints)
         kernels.add_seen(ids.astype(np.int64), classes, eyes, self._means, *self._planes, self.best, self.sets)
 
-    def add_missing(self, ids: I32, viewpoint: F64) -> None:
-        """Add those of different Gaussians (V,) that are missing, with the lowest class, seen from one place (3,)."""
-        missing = ids[self.best[ids] < 0]
-        self.add(missing, np.zeros(len(missing), np.int8), viewpoint[None])
+    def add_faint(self, ids: I32, viewpoint: F64) -> None:
+        """Add different Gaussians (V,) with the lowest class, seen from one viewpoint (3,)."""
+        self.add(ids, np.zeros(len(ids), np.int8), viewpoint[None])

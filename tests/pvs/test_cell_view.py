@@ -517,3 +517,4 @@ def test_of_what_is_smaller_than_a_pixel_a_set_takes_what_was_faint_and_nobody_l
     assert view.figures.bound <= finder.config.limit
     assert view.figures.inner == 0
     assert len(seen) < len(view.ids) < len(finder.levels.union)
+    assert same(view, finder.find_cell(viewpoints.voxels(0), sightings[::-1]))
