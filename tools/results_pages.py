@@ -123,6 +123,7 @@ PAGES = {
             "term_width_loss",
             "record_parts",
             "rounded_records",
+            "rounded_two_terms",
             "rounded_packages",
             "rounded_bonsai",
             "ten_bytes_nika",
