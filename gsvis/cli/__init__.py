@@ -28,6 +28,9 @@ __all__ = ["main"]
 _HOMES = {"unpack": "package", "verify": "package"}
 """Modules of commands that have none of their own name."""
 
+_WAITING = {"OMP_WAIT_POLICY": "passive", "OPENBLAS_THREAD_TIMEOUT": "4"}
+"""What lets threads of OpenMP and OpenBLAS sleep while they wait: those that spin take cores from those that work."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command.
@@ -45,7 +48,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(arguments: list[str]) -> int:
     """Run one command with standard streams that are safe to write to; return the exit code."""
     debug = "--debug" in arguments or os.environ.get("GSVIS_DEBUG", "") not in ("", "0")
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # threads that spin take cores from those that work
+    for name, value in _WAITING.items():
+        os.environ.setdefault(name, value)
     before = _stop_politely()
     try:
         if arguments[:1] == ["--version"]:

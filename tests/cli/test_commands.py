@@ -39,14 +39,19 @@ def ply(tmp_path: Path) -> Path:
     return tmp_path / "rooms.ply"
 
 
-def test_waiting_threads_sleep_unless_the_environment_says_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
-    for given, expected in ((None, "passive"), ("active", "active")):
+@pytest.mark.parametrize(
+    ("name", "usual", "other"), [("OMP_WAIT_POLICY", "passive", "active"), ("OPENBLAS_THREAD_TIMEOUT", "4", "20")]
+)
+def test_waiting_threads_sleep_unless_the_environment_says_otherwise(
+    name: str, usual: str, other: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for given, expected in ((None, usual), (other, other)):
         if given is None:
-            monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
+            monkeypatch.delenv(name, raising=False)
         else:
-            monkeypatch.setenv("OMP_WAIT_POLICY", given)
+            monkeypatch.setenv(name, given)
         assert main(["--version"]) == 0
-        assert os.environ["OMP_WAIT_POLICY"] == expected
+        assert os.environ[name] == expected
 
 
 def refused(capsys: Capture, *arguments: object) -> str:
