@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.pvs.viewpoints import FreeVoxels
+from gsvis.pvs.viewpoints import FreeVoxels, squared_distances
 
 __all__ = ["Tips", "farthest_points"]
 
@@ -73,7 +73,7 @@ def farthest_points(voxels: FreeVoxels, viewpoints: F64, buries: Buries) -> Iter
     near = viewpoints if len(viewpoints) else points.mean(axis=0, keepdims=True)
     apart = np.full(len(points), np.inf)
     for each in near:
-        apart = np.minimum(apart, np.sum((points - each) ** 2, axis=1))
+        apart = np.minimum(apart, squared_distances(points, each))
     skipped = 0
     while apart.max() > 0.0 and skipped <= _SKIPPED:
         first = int(apart.argmax())
@@ -82,5 +82,5 @@ def farthest_points(voxels: FreeVoxels, viewpoints: F64, buries: Buries) -> Iter
             skipped += 1
         else:
             yield point
-        apart = np.minimum(apart, np.sum((points - point) ** 2, axis=1))
+        apart = np.minimum(apart, squared_distances(points, point))
         apart[first] = 0.0
