@@ -287,12 +287,12 @@ class Finder:
                 continue
             if faint.pay(found.missed):
                 missing = view.best < 0  # before any is added: it may be faint from more than one viewpoint
-                for ids, eye in faint.take(found.missed):
-                    view.add_faint(ids[missing[ids]], eye)
+                for some, eye in faint.take(found.missed):
+                    view.add_faint(some[missing[some]], eye)
             else:
                 ids, classes = looks.see(found.worst_o[0])
-                some = classes >= min(faint.taken, _FAINT)
-                view.add(ids[some], np.maximum(classes[some], 0), found.worst_o[:1])
+                kept = classes >= min(faint.taken, _FAINT)
+                view.add(ids[kept], np.maximum(classes[kept], 0), found.worst_o[:1])
                 inner += 1
         return _Mended(certificates, inner, tile)
 

@@ -163,7 +163,7 @@ class SharedViewpoints:
 
 
 def squared_distances(points: F64, point: F64) -> F64:
-    """Return (P,) squared distances of points (P, 3) to one (3,); column by column, as a sum of rows of three is slow."""
+    """Return (P,) squared distances of points (P, 3) to one (3,); by columns, as sums of short rows are slow."""
     x, y, z = (points[:, axis] - point[axis] for axis in range(3))
     return np.asarray(x * x + y * y + z * z)
 
