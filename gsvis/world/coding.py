@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.prepare.surroundings import Surroundings
-from gsvis.pvs.cell_view import CellView, Sighting
+from gsvis.pvs.cell_view import CellView
+from gsvis.pvs.sightings import Sighting
 from gsvis.pvs.coded_size import bytes_of_cell, bytes_of_directions
 from gsvis.raycast.directions import face_of
 from gsvis.scene.gaussians import Gaussians
@@ -61,8 +62,9 @@ def direction_sets(view: CellView, others: Sequence[Sighting], means: NDArray[np
     sets = np.zeros((len(means), view.directions.shape[1]), np.uint8)
     sets[view.ids] = view.directions
     for each in others:
-        faces = face_of(each.viewpoint - means[each.ids])
-        sets[each.ids, faces // 8] |= (1 << faces % 8).astype(np.uint8)
+        ids = each.ids[each.seen]
+        faces = face_of(each.viewpoint - means[ids])
+        sets[ids, faces // 8] |= (1 << faces % 8).astype(np.uint8)
     return sets
 
 
