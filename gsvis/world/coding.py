@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from gsvis.prepare.surroundings import Surroundings
 from gsvis.pvs.cell_view import CellView
-from gsvis.pvs.sightings import Sighting
 from gsvis.pvs.coded_size import bytes_of_cell, bytes_of_directions
+from gsvis.pvs.sightings import Sighting
 from gsvis.raycast.directions import face_of
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
