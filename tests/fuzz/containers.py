@@ -339,7 +339,7 @@ def change_manifest(rng: Random, data: bytes) -> bytes:
     return sealed_manifest(changed)
 
 
-VIEW_HEAD, SIGHTING_HEAD = 8 + 44, 8 + 36
+VIEW_HEAD, SIGHTING_HEAD = 8 + 44, 8 + 32
 """Bytes before what is packed of a cell and of a viewpoint in a journal, with the head of the seal."""
 
 
@@ -350,7 +350,7 @@ def change_view(rng: Random, data: bytes) -> bytes:
 
 def change_sighting(rng: Random, data: bytes) -> bytes:
     """One change of the packed sighting of a viewpoint."""
-    return _change_journal(rng, data, SIGHTING_HEAD, ((12, "I"), (16, "I"), (20, "d"), (36, "d")))
+    return _change_journal(rng, data, SIGHTING_HEAD, ((12, "I"), (16, "d"), (32, "d")))
 
 
 def _change_journal(rng: Random, data: bytes, begin: int, fields: tuple[tuple[int, str], ...]) -> bytes:
