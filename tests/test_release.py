@@ -143,4 +143,5 @@ def test_pages_of_formats_name_the_versions_of_the_code() -> None:
     assert f"The version of the protocol is {PROTOCOL}." in wire
     assert f"| `protocol` | {PROTOCOL} |" in wire
     assert f"| u8 | version, {PROTOCOL};" in wire
-    assert f"**Packages and the protocol are version {VERSION}**" in read("CHANGELOG.md")
+    both = f"**Packages and the protocol are version {PROTOCOL}, packages with rounded records {VERSION}**"
+    assert both in read("CHANGELOG.md")

@@ -215,18 +215,6 @@ USE = (
                 target="≤ 1.5, 3 s",
             ),
             Row(
-                "Does the same settings.json look the same on our page and in SuperSplat's viewer: nika, a guitar?",
-                (
-                    "supersplat_settings: nika, 5 views: our page against SuperSplat's viewer, worst view",
-                    "supersplat_settings: guitar, 5 views: our page against SuperSplat's viewer, worst view",
-                    "supersplat_settings: nika, 5 views: our page against gsvis render, worst view",
-                    "supersplat_settings: guitar, 5 views: our page against gsvis render, worst view",
-                ),
-                ours="worst views {0:.1f} and {1:.1f} dB; our page and `gsvis render` {2:.1f} and {3:.1f} dB",
-                peer="SuperSplat's viewer",
-                target="≥ 32 dB",
-            ),
-            Row(
                 "Does a visitor who walks by the keys for 500 minutes pass a wall: two rooms, flat, showroom?",
                 (
                     "walls: wall passes, builtin:two_rooms",
