@@ -85,7 +85,8 @@ class FaintOnes:
         """
         steps = np.ceil(np.log2(missed / (_SHARE * self._limit)))
         low = max(FAINTEST, min(self.taken - int(max(steps, 1)), _FIRST))
-        high, self.taken = self.taken, low
+        high = self.taken
+        self.taken = low
         self._before = missed
         for each in self._sightings:
             ids = each.between(low, high)
