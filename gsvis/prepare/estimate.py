@@ -22,6 +22,11 @@ from gsvis.prepare.coded_size import bytes_of_record
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.memory import kept_memory, left_for_sets
 from gsvis.prepare.prepare import stages_of
+from gsvis.prepare.stage_colors import count_color_steps, name_colors, round_colors
+from gsvis.prepare.stage_levels import name_levels, reuse_levels
+from gsvis.prepare.stage_quality import name_cost, name_fidelity
+from gsvis.prepare.stage_records import name_epsilon, run_epsilon
+from gsvis.prepare.stage_sets import find_shipped_sets, name_sets
 from gsvis.prepare.stages import Stages
 from gsvis.prepare.trial import StageTrial
 from gsvis.progress import Progress, silent
@@ -133,7 +138,7 @@ class _Estimator:
         self.workers = workers
         self.config = stages.config
         self.load = machine_load()
-        self.known = stages.reuse_levels()
+        self.known = reuse_levels(stages)
         self.levels = _stand_in(stages) if self.known is None else self.known
         self.counts = self.levels.counts if self.known is not None else _counts(stages)
         top = self.levels.counts[-1]
@@ -165,7 +170,7 @@ class _Estimator:
             tuple(self.found),
             self.union,
             tuple(zip(self.levels.names, self.counts, strict=True)),
-            len(self.stages.grid()),
+            len(self.stages.grid),
             nbytes,
             int(shipped),
             int(self.saved),
@@ -186,7 +191,7 @@ class _Estimator:
         if self.known is not None:
             self.found.append(StageEstimate("levels", "done", sizes, 0.0, nbytes))
             return
-        chosen = (stages.work.at(f"{stages.levels_name}.begun") / SUBSETS).exists()
+        chosen = (stages.work.at(f"{name_levels(stages)}.begun") / SUBSETS).exists()
         seconds = self.trial.training(config, photos=stages.photos is not None, chosen=chosen)
         what = f"{sizes}; {config.iterations:,} steps each"
         self.found.append(StageEstimate("levels", "begun" if chosen else "to do", what, seconds, nbytes))
@@ -194,9 +199,9 @@ class _Estimator:
     def _sets(self) -> tuple[VisibilityStore | None, int, int]:
         """Return the store if it exists, bytes on disk, and memory."""
         stages = self.stages
-        grid = self.stages.grid()
+        grid = self.stages.grid
         kept = kept_memory(self.union, self.levels.union.sh_degree)
-        name = stages.sets_name(self.levels, grid) if self.known is not None else "none"
+        name = name_sets(stages, self.levels, grid) if self.known is not None else "none"
         what = f"{len(grid):,} cells of side {grid.cell_size:.3g}"
         if stages.work.whole(name):
             path = stages.work.at(name)
@@ -244,7 +249,7 @@ class _Estimator:
         what = f"{self.union:,} colors, variant {fit.variant}; {aim}"
         nbytes = 60 * self.union + 25 * terms
         if store is not None:
-            name = stages.colors_name(self.levels, store)
+            name = name_colors(stages, self.levels, store)
             if stages.work.whole(name):
                 path = stages.work.at(name)
                 exact = load_srbf(path)[1]
@@ -252,9 +257,9 @@ class _Estimator:
                 self.found.append(StageEstimate("colors", "done", what, 0.0, path.stat().st_size))
                 return exact
         seconds = self.trial.colors(self.union)
-        if stages.color_steps:
-            seconds += self.trial.learning(stages.color_steps, photos=stages.photos is not None)
-            what += f"; {stages.color_steps:,} steps of learning"
+        if count_color_steps(stages):
+            seconds += self.trial.learning(count_color_steps(stages), photos=stages.photos is not None)
+            what += f"; {count_color_steps(stages):,} steps of learning"
         self.found.append(StageEstimate("colors", "to do", what, seconds, nbytes))
         return None
 
@@ -263,7 +268,7 @@ class _Estimator:
         if self.config.colors.record_psnr is None:
             return
         what = f"{2 * self.config.cost_views.count:,} views by each rule, several times"
-        done = exact is not None and self.stages.work.whole(self.stages.cost_name(self.levels, exact))
+        done = exact is not None and self.stages.work.whole(name_cost(self.stages, self.levels, exact))
         seconds = 0.0 if done else _ROUNDING * self.trial.cost()
         self.found.append(StageEstimate("rounding", "done" if done else "to do", what, seconds, 100))
 
@@ -271,7 +276,7 @@ class _Estimator:
         """Estimate the stage that measures what rounding costs."""
         views = self.config.cost_views
         what = f"{views.count:,} views of {views.width} x {views.height}"
-        if exact is not None and self.stages.work.whole(self.stages.cost_name(self.levels, exact)):
+        if exact is not None and self.stages.work.whole(name_cost(self.stages, self.levels, exact)):
             self.found.append(StageEstimate("cost", "done", what, 0.0, 100))
             return
         seconds = self.trial.cost()
@@ -284,10 +289,10 @@ class _Estimator:
             return self.config.epsilon
         what = f"a staircase in {OBSERVED.count} views of {OBSERVED.width} x {OBSERVED.height}"
         if exact is not None:
-            packed = stages.rounded(exact)
-            if stages.work.whole(stages.epsilon_name(self.levels, packed)):
+            packed = round_colors(stages, exact)
+            if stages.work.whole(name_epsilon(stages, self.levels, packed)):
                 self.found.append(StageEstimate("epsilon", "done", what, 0.0, 4000))
-                return stages.epsilon(self.levels, packed).value
+                return run_epsilon(stages, self.levels, packed).value
         self.found.append(StageEstimate("epsilon", "to do", what, _STAIRCASE * self.trial.cost(), 4000))
         return None
 
@@ -296,14 +301,11 @@ class _Estimator:
         stages = self.stages
         views = self.config.fidelity_views
         what = f"{views.count:,} views of {views.width} x {views.height}, {_IMAGES} images of each"
-        if (
-            exact is not None
-            and store is not None
-            and epsilon is not None
-            and stages.work.whole(stages.fidelity_name(self.levels, exact, stages.shipped_path(store.path), epsilon))
-        ):
-            self.found.append(StageEstimate("fidelity", "done", what, 0.0, 4000))
-            return
+        if exact is not None and store is not None and epsilon is not None:
+            shipped = find_shipped_sets(stages, store.path)
+            if stages.work.whole(name_fidelity(stages, self.levels, exact, shipped, epsilon)):
+                self.found.append(StageEstimate("fidelity", "done", what, 0.0, 4000))
+                return
         seconds = self.trial.fidelity()
         self.found.append(StageEstimate("fidelity", "to do", what, seconds, 4000))
 

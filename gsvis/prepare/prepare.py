@@ -24,7 +24,12 @@ from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.package.rounding import rounded_contents
 from gsvis.package.writer import check_target
 from gsvis.prepare.config import PrepareConfig
-from gsvis.prepare.stages import StageRecord, Stages, around_of
+from gsvis.prepare.stage_colors import round_colors, run_colors
+from gsvis.prepare.stage_levels import reuse_levels, run_levels
+from gsvis.prepare.stage_quality import run_cost, run_fidelity, run_judges, run_overdraw
+from gsvis.prepare.stage_records import run_epsilon, run_rounding, run_terms
+from gsvis.prepare.stage_sets import around_of, run_sets, ship_sets
+from gsvis.prepare.stages import StageRecord, Stages
 from gsvis.prepare.start_views import describe_start_views
 from gsvis.progress import Progress, silent
 from gsvis.pvs.joined import JoinedCells
@@ -153,22 +158,22 @@ def finish_package(
     target = _check.path("out", out)
     with work.opened():
         before = _parts_of(target)
-        levels, quality = stages.levels()
-        sets = stages.sets(levels, workers)
+        levels, quality = run_levels(stages)
+        sets = run_sets(stages, levels, workers)
         with VisibilityStore.open(sets, scene=levels.union) as store:
-            colors = stages.colors(levels, store)
+            colors = run_colors(stages, levels, store)
             exact = colors.exact
-            packed = stages.rounded(exact)
-            epsilon = stages.epsilon(levels, packed)
-            limits = stages.limits(levels, exact, packed)
-            cost = stages.cost(levels, exact, packed, limits)
+            packed = round_colors(stages, exact)
+            epsilon = run_epsilon(stages, levels, packed)
+            limits = run_rounding(stages, levels, exact, packed)
+            cost = run_cost(stages, levels, exact, packed, limits)
             contents = rounded_contents(levels, packed, limits)
-            shipped = stages.shipped_sets(store)
+            shipped = ship_sets(stages, store)
         with VisibilityStore.open(shipped, scene=levels.union) as store:
-            fidelity = stages.fidelity(levels, exact, contents, store, epsilon.value)
-            judged = stages.judged(levels, store)
-            overdraw = stages.overdraw(levels, store)
-            listed = stages.cell_terms(levels, contents, store, epsilon.value)
+            fidelity = run_fidelity(stages, levels, exact, contents, store, epsilon.value)
+            judged = run_judges(stages, levels, store)
+            overdraw = run_overdraw(stages, levels, store)
+            listed = run_terms(stages, levels, contents, store, epsilon.value)
             certificates = store.certificates
             twice = store.info.config.get("traced_twice")
         began = time.perf_counter()
@@ -236,7 +241,7 @@ def stages_of(
     work = WorkFolder(out)
     work.check()
     stages = Stages(scene, space, config, photos, work, progress, [], [])
-    if stages.trains and not has("torch") and stages.reuse_levels() is None:
+    if stages.trains and not has("torch") and reuse_levels(stages) is None:
         raise missing("levels: training them", "torch")
     return stages
 

@@ -24,6 +24,7 @@ from gsvis.package import in_package_order
 from gsvis.prepare.colors import ColorConfig
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.prepare import stages_of
+from gsvis.prepare.stage_levels import run_levels
 from gsvis.prepare.stages import VERSIONS as STAGES
 from gsvis.progress import silent
 from gsvis.pvs.config import PvsConfig
@@ -259,7 +260,7 @@ def _train_levels(
     try:
         stages = stages_of(g, work / "levels.gsvis", space, config, photos=None, progress=silent)
         with stages.work.opened():
-            return stages.levels()
+            return run_levels(stages)
     except (SceneError, ArgumentError):
         return None, None
 

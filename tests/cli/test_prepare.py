@@ -122,7 +122,7 @@ def test_it_says_what_is_kept_when_it_is_stopped(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("gsvis.prepare.stages.measure_cost", stop)
+        patched.setattr("gsvis.prepare.stage_quality.measure_cost", stop)
         _, err = run(capsys, SCENE, "-o", tmp_path / "s.gsvis", *TINY, *FLAT, code=130)
     assert "kept in s.gsvis.work; run the same command to resume" in err
     found = json.loads(run(capsys, SCENE, "-o", tmp_path / "s.gsvis", *TINY, *FLAT, "--json")[0])

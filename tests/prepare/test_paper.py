@@ -60,13 +60,13 @@ def test_every_piece_of_the_paper_is_called_and_none_of_ours(
     theirs = (
         "gsvis.color._pursuit.orthogonal_matching_pursuit",
         "gsvis.train.levels.rank_by_error",
-        "gsvis.prepare.stages.calibrate_by_flip",
-        "gsvis.prepare.stages.list_package_terms",
+        "gsvis.prepare.stage_records.calibrate_by_flip",
+        "gsvis.prepare.stage_records.list_package_terms",
         "gsvis.hpr.hybrid",
     )
     ours = ("gsvis.train.levels.choose_subsets", "gsvis.prepare.importance.direction_weights")
     counts = count_calls(monkeypatch, *theirs, *ours)
-    monkeypatch.setattr("gsvis.prepare.stages.OBSERVED", FEW)
+    monkeypatch.setattr("gsvis.prepare.stage_records.OBSERVED", FEW)
     dry = estimate_preparation(rooms.gaussians, tmp_path / "p.gsvis", rooms.navigable, PAPER)
     assert "epsilon" in [stage.name for stage in dry.stages]
     counts.clear()
