@@ -284,7 +284,7 @@ class Export:
     meters_per_unit: Annotated[Units, hint("the package's, or 1")] = None
     """Length of a scene unit in meters, for 3dtiles, glb and usd."""
     budget: Lightened = Lightened()
-    name: Annotated[str | None, hint("that of SCENE", "NAME")] = None
+    name: Annotated[str | None, hint("--title, or that of SCENE", "NAME")] = None
     """Name of the scene in the page."""
     page: Presented = Presented()
     lod: Lod = None

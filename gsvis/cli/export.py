@@ -201,11 +201,11 @@ def _open_scene(
 
         for option, words in changed(command, ("lod", *_PLACING)).items():
             raise ValueError(f"{option}: expected none for a package, got {' '.join(words) or option}; leave it out")
-        name = as_line(command.name or Path(command.scene).resolve().name.removesuffix(".gsvis"))
+        name = as_line(command.name or command.page.title or Path(command.scene).resolve().name.removesuffix(".gsvis"))
         return stack.enter_context(Package.open(command.scene)), name, _triple(up), None, Lighter()
     check_source(command.scene, command.lod)
     source = open_source(command.scene, command.lod, status)
-    name = as_line(command.name or title_of(command.scene, source.lod))
+    name = as_line(command.name or command.page.title or title_of(command.scene, source.lod))
     lighter = lighten(command, source, walk, status)
     source = lighter.source or source
     return source.whole, name, _triple(source.steady_up if up is None else up), source, lighter

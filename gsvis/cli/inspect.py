@@ -7,6 +7,7 @@ from typing import Any
 
 from gsvis.cli.arguments import Inspect
 from gsvis.cli.histograms import TITLES, band_lines, can_draw_blocks, histogram_lines, line_width
+from gsvis.cli.inspect_world import inspect_world
 from gsvis.cli.overdraw import cell_overdraw, cell_overdraw_rows, measure_overdraw, overdraw_rows
 from gsvis.cli.source import inspect_scene_of, open_source
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
@@ -20,12 +21,16 @@ from gsvis.scene.lengths import spell_point
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.source import Source
+from gsvis.world import is_world
 
 __all__ = ["run_inspect"]
 
 
 def run_inspect(command: Inspect) -> None:
-    """Inspect a scene: read it, measure it, print a table or JSON."""
+    """Inspect a scene: read it, measure it, print a table or JSON; of a world, what its manifests say."""
+    if is_world(command.scene):
+        inspect_world(command)
+        return
     walk = check_where(command.where)
     with Status() as status:
         source = open_source(command.scene, command.lod, status, load=load_shown)

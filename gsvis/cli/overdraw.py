@@ -17,6 +17,7 @@ from gsvis.scene.source import Source
 
 if TYPE_CHECKING:
     from gsvis.edit.budget import Budgeted
+    from gsvis.package import Package
 
 __all__ = ["Lighter", "cell_overdraw", "cell_overdraw_rows", "lighten", "measure_overdraw", "overdraw_rows"]
 
@@ -48,29 +49,40 @@ def measure_overdraw(
 
 
 def cell_overdraw(scene: str) -> dict[str, Any] | None:
-    """Return the overdraw of all cells that a package states, for JSON; None for a scene, or where it states none."""
-    if not is_package(scene):
+    """Return the overdraw of all cells that a package or the tiles of a world state, for JSON; None without any."""
+    from gsvis.world import World, is_world
+
+    if not is_package(scene) and not is_world(scene):
         return None
-    from gsvis.package import Package
+    world = World.open(scene)
+    cells: list[dict[str, Any]] = []
+    for tile in range(len(world.manifest.tiles)):
+        with world.package(tile) as package:
+            cells += _stated_cells(package)
+    if not cells:
+        return None
+    columns = {name: np.array([cell[name] for cell in cells]) for name in ("splats", "mean", "worst")}
+    return {
+        "median": {name: float(np.median(values)) for name, values in columns.items()},
+        "largest": {name: float(values.max()) for name, values in columns.items()},
+        "heaviest": int(columns["mean"].argmax()),
+        "cells": cells,
+    }
+
+
+def _stated_cells(package: Package) -> list[dict[str, Any]]:
+    """Return the overdraw of each cell of a package, for JSON; none where it states none."""
     from gsvis.pvs.fill import read_overdraw
 
-    with Package.open(scene) as package:
-        stated = package.manifest.info.provenance.get("overdraw")
-        if stated is None or package.manifest.visibility is None:
-            return None
-        centers = package.visibility.grid.centers
+    stated = package.manifest.info.provenance.get("overdraw")
+    if stated is None or package.manifest.visibility is None:
+        return []
+    centers = package.visibility.grid.centers
     found = read_overdraw(stated, len(centers))
     if found is None:
-        return None
+        return []
     rows = zip(centers.tolist(), found.splats.tolist(), found.mean.tolist(), found.worst.tolist(), strict=True)
-    return {
-        "median": {name: float(np.median(values)) for name, values in found._asdict().items()},
-        "largest": {name: float(values.max(initial=0.0)) for name, values in found._asdict().items()},
-        "heaviest": int(found.mean.argmax()),
-        "cells": [
-            {"place": place, "splats": splats, "mean": mean, "worst": worst} for place, splats, mean, worst in rows
-        ],
-    }
+    return [{"place": place, "splats": splats, "mean": mean, "worst": worst} for place, splats, mean, worst in rows]
 
 
 def cell_overdraw_rows(found: dict[str, Any]) -> list[tuple[str, str]]:

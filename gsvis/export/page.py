@@ -76,6 +76,26 @@ _POLICY = (
     " worker-src 'self'; base-uri 'none'; form-action 'none'"
 )
 
+_FAILED = """(() => {
+const say = (file, type) => {
+const line = document.createElement("p");
+line.role = "alert";
+line.className = "card";
+line.textContent = `${file} did not load: the host has to have it, and to send it as ${type}.`;
+document.body.prepend(line);
+};
+addEventListener("error", ({ target }) => {
+if (target.localName === "script") addEventListener("load", () => say(target.src, "text/javascript"));
+}, true);
+addEventListener("load", () => {
+for (const link of document.querySelectorAll('link[rel="stylesheet"]')) {
+if (!link.sheet?.cssRules.length) say(link.href, "text/css");
+}
+});
+})();
+"""
+"""Name a script or a style of the page that does not load, such as one that a host sends with a wrong type."""
+
 _EARLY = """(() => {
 if (/[?&]content=/.test(location.search)) return;
 try {
@@ -171,7 +191,7 @@ def write_site(
         for name, data in pictures.items():
             (partial / name).write_bytes(data)
         names = [SCENE, *(found.ahead if is_own else ())]
-        early = _EARLY % {"folder": FOLDER, "scene": SCENE, "names": json.dumps(names)}
+        early = _FAILED + _EARLY % {"folder": FOLDER, "scene": SCENE, "names": json.dumps(names)}
         own = _POLICY.replace("script-src 'self'", f"script-src 'self' {_hash(early)}")
         policy = f"{own}; connect-src {connect_sources(origins)}"
         metas = {"gsvis-content": f"{FOLDER}/", "gsvis-settings": SETTINGS}

@@ -183,6 +183,17 @@ def test_a_view_out_of_sight_says_so_and_leads_back(browser: Any, site: Path) ->
             wait(page, "() => /[1-9]/.test(document.querySelector('[data-figure=drawn]').textContent)")
 
 
+@pytest.mark.parametrize(("file", "kind"), [("page.js", "text/javascript"), ("page.css", "text/css")])
+def test_a_file_of_the_page_that_a_host_sends_as_text_is_named(browser: Any, file: str, kind: str, site: Path) -> None:
+    with served(site) as address, closing(browser.new_context(**SMALL)) as opened:
+        page = opened.new_page()
+        page.route(
+            f"**/viewer/{file}", lambda route: route.fulfill(path=site / "viewer" / file, content_type="text/plain")
+        )
+        page.goto(f"{address}/index.html")
+        say(page, f"viewer/{file} did not load: the host has to have it, and to send it as {kind}.")
+
+
 def test_a_name_with_markup_is_text_everywhere(browser: Any, site: Path) -> None:
     with served(site) as address, page_in(browser, f"{address}/index.html", **SMALL) as (page, said):
         wait(page, DRAWN)

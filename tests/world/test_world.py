@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gsvis.cli import main
 from gsvis.errors import FormatError, SceneError
 from gsvis.jobs import graph
 from gsvis.jobs.workers import Workers
@@ -80,6 +81,25 @@ def test_tiles_state_the_overdraw_of_all_that_their_cells_see(city: Path) -> Non
         assert (stated.splats >= 0.95 * alone.splats).all()  # records are rounded
         more += int(np.count_nonzero(stated.splats > 1.1 * alone.splats))
     assert more
+
+
+def test_inspect_prints_the_overdraw_of_all_cells_of_all_tiles(city: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    world = World.open(city)
+    worst = []
+    for tile, entry in enumerate(world.manifest.tiles):
+        with world.package(tile) as package:
+            stated = package.manifest.info.provenance.get("overdraw")
+        if stated is not None:
+            assert len(stated["worst"]) == entry.cells
+            worst += stated["worst"]
+    assert main(["inspect", str(city), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["cells"] == len(found["cell_overdraw"]["cells"]) == len(worst)
+    assert found["cell_overdraw"]["largest"]["worst"] == max(worst)
+    assert main(["inspect", str(city)]) == 0
+    assert f"{max(worst):,} at most" in capsys.readouterr().out
+    assert main(["inspect", str(city), "--histograms"]) == 2
+    assert "--histograms: expected none for a world" in capsys.readouterr().err
 
 
 def test_cells_see_across_the_border(city: Path) -> None:

@@ -31,7 +31,7 @@ export class Extras {
     try {
       const response = await fetch(address);
       if (!response.ok) throw new Error(text("say.settings.status", { status: String(response.status) }));
-      await this.apply(await response.json());
+      await this.apply(await response.json().catch(() => null)); // what is no JSON is no object
     } catch (error) {
       this.page.say(text("say.settings", { reason: reasonOf(error) }).trim());
     }
