@@ -7,7 +7,9 @@ import pytest
 import zstandard
 from numpy.typing import NDArray
 
+from gsvis._kernels.compiled import kernel
 from gsvis.package import Contents
+from gsvis.package._kernels.adaptive import carry
 from gsvis.package.codec import ChunkTable
 from gsvis.package.coded import decode_gaussians, decode_terms, encode_gaussians, encode_terms
 from gsvis.package.layout import RecordLayout, TermLayout
@@ -109,3 +111,13 @@ def test_damage_and_other_parts_are_refused() -> None:
         except ValueError:
             continue
         assert found.shape == (300, 16)
+
+
+def test_a_carry_goes_through_full_words() -> None:
+    @kernel
+    def add_one(words: NDArray[np.uint32]) -> None:
+        carry(words, 4)
+
+    words = np.array([7, 41, 0xFFFFFFFF, 0xFFFFFFFF, 5], np.uint32)
+    add_one(words)
+    assert words.tolist() == [7, 42, 0, 0, 5]

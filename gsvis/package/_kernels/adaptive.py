@@ -24,6 +24,7 @@ _RATES = np.array([131072 // (2 * seen + 3) for seen in range(_MOST + 1)], np.in
 _WORD = np.uint64(32)
 _LEAST = np.uint64(1 << 32)
 _FULL = np.uint64((1 << 64) - 1)
+_WHOLE = np.uint32(0xFFFFFFFF)
 
 
 @kernel
@@ -45,6 +46,16 @@ def end(low, at, data, writing):
     data[at] = np.uint32(low >> _WORD)
     data[at + 1] = np.uint32(low & np.uint64(0xFFFFFFFF))
     return at + TAIL
+
+
+@inner(forceinline=True)
+def carry(data, at):
+    """Add one to the number that the words before `at` spell, because the lowest value went beyond 64 bits."""
+    last = at - 1
+    while data[last] == _WHOLE:
+        data[last] = np.uint32(0)
+        last -= 1
+    data[last] += np.uint32(1)
 
 
 @inner(forceinline=True)
@@ -79,12 +90,8 @@ def code_tree(low, span, at, chances, start, value, bits, data, writing):
         else:
             span = span - part
             low = low + part
-            if low < part:  # carry
-                last = at - 1
-                while data[last] == np.uint32(0xFFFFFFFF):
-                    data[last] = np.uint32(0)
-                    last -= 1
-                data[last] += np.uint32(1)
+            if low < part:
+                carry(data, at)
         whole += ((bit * _SURE - whole) * _RATES[seen]) >> 16
         chances[start + node] = np.uint32(whole << 7 | min(seen + 1, _MOST))
         if span < _LEAST:
@@ -125,12 +132,8 @@ def code_raw(low, span, at, value, bits, data, writing):
     if writing:
         part = span * np.uint64(value)
         low = low + part
-        if low < part:  # carry
-            last = at - 1
-            while data[last] == np.uint32(0xFFFFFFFF):
-                data[last] = np.uint32(0)
-                last -= 1
-            data[last] += np.uint32(1)
+        if low < part:
+            carry(data, at)
     else:
         value = min(np.int64(low // span), (np.int64(1) << bits) - 1)
         low = low - span * np.uint64(value)

@@ -196,33 +196,34 @@ def _put_record(words, i, fields, wide, v, low_bits, bits):
     words[i, 0], words[i, 1] = bits[0], bits[1]
 
 
+@inner(forceinline=True)
+def _code_component(low, span, at, chances, tree, component, tint, data, writing):
+    """Write or read a component of a color modulo 256, which lacks `tint` bits; return it and the state."""
+    value = (component & 255) >> tint
+    value, low, span, at = code_tree(low, span, at, chances, tree, value, _EIGHT - tint, data, writing)
+    return value << tint, low, span, at
+
+
 @inner
 def _code_color(low, span, at, chances, start, c, colors, tint, data, writing):
     """Write or read the components c of a base color, which lack `tint` bits, and return the state of the coder.
 
     Of three components the second is coded first, and the others as differences from it. Of four, the third is first.
     """
-    bits = _EIGHT - tint
     start = start + 256 * (1 + _CONTEXTS) * tint
     lead = 1 if colors == 3 else 2
-    value, low, span, at = code_tree(low, span, at, chances, start, c[lead] >> tint, bits, data, writing)
-    c[lead] = value << tint
+    c[lead], low, span, at = _code_component(low, span, at, chances, start, c[lead], tint, data, writing)
     base = c[lead] if colors == 3 else 0
-    start = start + 256
-    value = ((c[0] - base) & 255) >> tint
+    start += 256
     tree = start + 256 * (c[lead] >> 4)
-    value, low, span, at = code_tree(low, span, at, chances, tree, value, bits, data, writing)
-    second = value << tint
+    second, low, span, at = _code_component(low, span, at, chances, tree, c[0] - base, tint, data, writing)
     start += 256 * 16
-    value = ((c[3 - lead] - base) & 255) >> tint
     tree = start + 256 * (second >> 1)
-    value, low, span, at = code_tree(low, span, at, chances, tree, value, bits, data, writing)
-    third = value << tint
+    third, low, span, at = _code_component(low, span, at, chances, tree, c[3 - lead] - base, tint, data, writing)
     start += 256 * 128
     if colors == 4:
         tree = start + 256 * (c[lead] >> 5)
-        value, low, span, at = code_tree(low, span, at, chances, tree, c[3] >> tint, bits, data, writing)
-        c[3] = value << tint
+        c[3], low, span, at = _code_component(low, span, at, chances, tree, c[3], tint, data, writing)
     c[0] = (second + base) & 255
     c[3 - lead] = (third + base) & 255
     return low, span, at
