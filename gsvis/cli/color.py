@@ -231,7 +231,7 @@ def _lesson(command: Color, plan: _Plan, status: Status) -> Lesson | None:
         return lesson
     if plan.space is None:
         raise SceneError("there is nowhere to look from; say where eyes may be with --box, or give --photos")
-    return draw_lesson(g, plan.space, steps, seed=seed, progress=status)
+    return draw_lesson(g, plan.space, steps, seed=seed)
 
 
 def _outputs(command: Color) -> ColorOutputs:

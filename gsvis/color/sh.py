@@ -21,7 +21,14 @@ from gsvis.scene.sh import sh_basis, sh_degree_of
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["sh_colors", "sh_colors_along", "towards_gaussian", "write_sh_colors", "write_sh_gradients"]
+__all__ = [
+    "seen_sh_colors",
+    "sh_colors",
+    "sh_colors_along",
+    "towards_gaussian",
+    "write_sh_colors",
+    "write_sh_gradients",
+]
 
 
 class _Tensors(Protocol):
@@ -112,6 +119,19 @@ def write_sh_colors(
         out: (M, at least 3); the first three columns are written, clipped below at 0.
     """
     _kernels_sh.colors_from_sh(ids, *_check.read_only(*coefficients), degree, eye, np.float32(0.0), out)
+
+
+def seen_sh_colors(g: Gaussians, ids: NDArray[np.int64], eye: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the SH colors (M, 3) of some Gaussians from one eye, clipped below at 0.
+
+    Args:
+        g: N Gaussians.
+        ids: (M,) Gaussians.
+        eye: (3,) viewpoint, world frame.
+    """
+    out = np.empty((len(ids), 3), np.float32)
+    write_sh_colors(ids.astype(np.int32), (g.means, g.sh0, g.shN), g.sh_degree, eye, out)
+    return out
 
 
 def write_sh_gradients(

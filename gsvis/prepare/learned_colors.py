@@ -14,15 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis._extras import has
+from gsvis.color.evaluate import Evaluator
+from gsvis.color.sh import seen_sh_colors
 from gsvis.color.srbf import SrbfColors
 from gsvis.progress import Progress, silent
+from gsvis.render.fixed_view import FixedView
 from gsvis.render.metrics import psnr
-from gsvis.render.rasterizer import rasterize
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.history import MOST_PSNR
-from gsvis.train.images import PosedImages, render_views
+from gsvis.train.images import PosedImages
 
 if TYPE_CHECKING:
     from gsvis.train.colors import LearnConfig
@@ -50,17 +53,17 @@ _GAINED = 0.05  # dB in the mean below which learning is said to have gained not
 
 @dataclass(frozen=True, eq=False)
 class Lesson:
-    """What colors are learned from.
+    """What colors are learned from: images, or cameras alone, from which the scene with its SH colors is to be shown.
 
     Attributes:
-        views: Images to show.
-        held_out: Images that measure the result; None measures nothing.
+        views: What to show.
+        held_out: What measures the result; None measures nothing.
         named: What the images are, such as "photographs".
         config: How to learn.
     """
 
-    views: PosedImages
-    held_out: PosedImages | None
+    views: PosedImages | Cameras
+    held_out: PosedImages | Cameras | None
     named: str
     config: LearnConfig
 
@@ -161,17 +164,14 @@ def read_lesson(
     return Lesson(read.views, read.held_out, "photographs", LearnConfig(steps=steps, seed=seed)), read.remarks
 
 
-def draw_lesson(
-    g: Gaussians, space: NavigableSpace, steps: int, *, seed: int = 0, progress: Progress = silent
-) -> Lesson:
-    """Return renders of a scene to learn from, every eighth held out.
+def draw_lesson(g: Gaussians, space: NavigableSpace, steps: int, *, seed: int = 0) -> Lesson:
+    """Return views of a scene to learn from, every eighth held out.
 
     Args:
         g: The scene with its SH colors.
         space: Where the eyes are.
         steps: Steps of learning.
         seed: Seed of the cameras and of their order.
-        progress: Called with stage "views".
 
     Raises:
         SceneError: If no viewpoint is usable.
@@ -180,15 +180,7 @@ def draw_lesson(
 
     cameras = replace(RENDERS, seed=seed).cameras(g, space)
     last = np.arange(len(cameras)) % _EVERY == 0
-
-    def report(stage: str, done: int, total: int) -> None:
-        """Report the held-out views after the others."""
-        if done:
-            progress(stage, int((~last).sum()) + done, len(cameras))
-
-    views = render_views(g, cameras[~last], progress=lambda stage, done, _: progress(stage, done, len(cameras)))
-    held_out = render_views(g, cameras[last], progress=report)
-    return Lesson(views, held_out, "renders", LearnConfig.for_renders(steps, seed))
+    return Lesson(cameras[~last], cameras[last], "renders", LearnConfig.for_renders(steps, seed))
 
 
 def learn_lesson(
@@ -218,28 +210,47 @@ def learn_lesson(
 
     learned = learn_colors(g, colors, lesson.views, lesson.config, shown=shown, progress=progress)
     about = Learned(lesson.named, len(lesson.views), asdict(lesson.config))
-    held_out = lesson.held_out
-    if held_out is None:
+    if lesson.held_out is None:
         return learned, about
     whole = np.ones(len(g), bool) if shown is None else shown
     drawn: dict[str, SrbfColors | None] = {} if lesson.named == "renders" else {"sh": None}
     drawn |= {"fitted": colors, "learned": learned}
+    measure = _Measure(g, whole, lesson.held_out)
     progress("measure", 0, len(drawn))
     for done, (name, each) in enumerate(drawn.items(), 1):
-        if each is None:
-            about.psnr[name] = _psnr_of(g[whole], None, held_out)
-        else:
-            about.psnr[name] = _psnr_of(g.without_harmonics()[whole], to_records(each)[whole], held_out)
+        about.psnr[name] = measure.psnr_of(None if each is None else to_records(each))
         progress("measure", done, len(drawn))
     if lesson.named == "renders" and about.gain < 0.0:
         return colors, about
     return learned, about
 
 
-def _psnr_of(g: Gaussians, colors: SrbfColors | None, views: PosedImages) -> F64:
-    """Return (C,) dB of drawn views against images, both clipped to [0, 1]; colors None means SH."""
-    found = np.empty(len(views))
-    for c in range(len(views)):
-        image = np.clip(rasterize(g, views.cameras[c], colors=colors).images[0], 0.0, 1.0)
-        found[c] = min(float(psnr(image, np.clip(views.image(c), 0.0, 1.0))), MOST_PSNR)
-    return found
+class _Measure:
+    """Views that measure colors.
+
+    Args:
+        g: N Gaussians with their SH colors.
+        shown: (N,) bool, those that are drawn.
+        views: Images with their cameras; or cameras alone, for which the SH colors make the images.
+    """
+
+    def __init__(self, g: Gaussians, shown: NDArray[np.bool_], views: PosedImages | Cameras) -> None:
+        self._scene = g
+        self._ids = np.flatnonzero(shown)
+        self._drawn = g.without_harmonics()[shown]
+        self._views = views
+
+    def psnr_of(self, colors: SrbfColors | None) -> F64:
+        """Return (C,) dB of drawn views against their images, both clipped to [0, 1]; colors None means SH."""
+        views = self._views
+        cameras = views if isinstance(views, Cameras) else views.cameras
+        found = np.empty(len(views))
+        for c in range(len(views)):
+            seen = FixedView(self._drawn, cameras[c])
+            ids = self._ids[seen.ids]
+            own = seen_sh_colors(self._scene, ids, seen.eye)
+            shades = own if colors is None else Evaluator(colors[ids]).colors(self._scene.means[ids], seen.eye)
+            image = seen.image(shades)
+            wanted = seen.image(own) if isinstance(views, Cameras) else views.image(c)
+            found[c] = min(float(psnr(np.clip(image, 0.0, 1.0), np.clip(wanted, 0.0, 1.0))), MOST_PSNR)
+        return found

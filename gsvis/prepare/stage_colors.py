@@ -107,7 +107,7 @@ def _learn(stages: Stages, levels: Levels, colors: SrbfColors) -> tuple[SrbfColo
     highest = stages.highest
     seed = stages.config.level_views.seed
     if stages.photos is None:
-        lesson = draw_lesson(highest, stages.space, count_color_steps(stages), seed=seed, progress=stages.progress)
+        lesson = draw_lesson(highest, stages.space, count_color_steps(stages), seed=seed)
     else:
         size = stages.config.level_size
         lesson, _ = read_lesson(

@@ -164,16 +164,16 @@ class StageTrial:
         began = self._clock()
         from gsvis.train.colors import LearnConfig, learn_colors
 
-        views = self._config.level_views if photos else RENDERS
-        tried = render_views(self._scene, self._cameras(replace(views, count=_VIEWS)))
-        drawing = 0.0 if photos else (self._clock() - began) / _VIEWS * views.count
+        cameras = self._cameras(replace(self._config.level_views if photos else RENDERS, count=_VIEWS))
+        tried = render_views(self._scene, cameras) if photos else cameras
+        config = LearnConfig() if photos else LearnConfig.for_renders()
         colors = self._fitted[0].colors
         many = colors[np.arange(len(self._scene)) % len(colors)]
-        learn_colors(self._scene, many, tried, LearnConfig(steps=1))
+        learn_colors(self._scene, many, tried, replace(config, steps=1))
         start = self._clock()
-        learn_colors(self._scene, many, tried, LearnConfig(steps=_VIEWS))
+        learn_colors(self._scene, many, tried, replace(config, steps=_VIEWS))
         each = (self._clock() - start) / _VIEWS
-        return start - began + drawing + each * steps
+        return start - began + each * steps
 
     @cached_property
     def _fitted(self) -> tuple[SrbfFit, float]:

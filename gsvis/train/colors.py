@@ -17,18 +17,20 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gsvis import _check
-from gsvis.color.evaluate_torch import SrbfTensors
+from gsvis.color.evaluate_torch import SrbfTensors, evaluate_torch
+from gsvis.color.sh import seen_sh_colors
 from gsvis.color.srbf import MAX_DECAY, SrbfColors, spherical_coordinates, unit_vectors
 from gsvis.progress import Progress, silent
+from gsvis.render.fixed_view import FixedView
 from gsvis.render.rasterizer import rasterize
 from gsvis.render.tensors import GaussianTensors
-from gsvis.render.weights import view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.images import PosedImages
+from gsvis.train.lazy_adam import LazyAdam
 from gsvis.train.loss import photometric_loss
 
-__all__ = ["LearnConfig", "learn_colors", "learn_sh"]
+__all__ = ["LearnConfig", "learn_colors", "learn_sh", "view_of_step"]
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ class LearnConfig:
 def learn_colors(
     g: Gaussians,
     colors: SrbfColors,
-    views: PosedImages,
+    views: PosedImages | Cameras,
     config: LearnConfig | None = None,
     *,
     shown: NDArray[np.bool_] | None = None,
@@ -104,88 +106,157 @@ def learn_colors(
     Args:
         g: N Gaussians.
         colors: Colors to begin with, N Gaussians with T terms.
-        views: Images to show, with their cameras.
+        views: Images to show, with their cameras; or cameras alone, for which the Gaussians drawn with their SH colors
+            are the images. That needs `config.squared`, and no image is kept.
         config: Options; None means `LearnConfig()`.
         shown: (N,) bool, the Gaussians to draw, such as those of the highest of several levels; None means all.
         progress: Called with every step; stage "learn".
 
     Raises:
-        ValueError: If lengths differ, or there are no views.
+        ValueError: If lengths differ, there are no views, or there are cameras alone without `config.squared`.
     """
     config = config or LearnConfig()
     _check.same_length(g=g.means, colors=colors.base)
-    if config.steps == 0 or len(colors) == 0:
-        return colors
+    if len(views) == 0:
+        raise ValueError("views: expected at least one image to learn from, got none")
+    if isinstance(views, Cameras) and not config.squared:
+        raise ValueError("views: expected images for a loss that is not squared, got cameras alone; set squared")
     ids = np.arange(len(g)) if shown is None else np.flatnonzero(shown)
-    if len(ids) == 0:
+    if config.steps == 0 or len(colors) == 0 or len(ids) == 0:
         return colors
-    start = SrbfTensors.from_colors(colors[ids], requires_grad=True)
-    growth = torch.zeros_like(start.decays, requires_grad=True)  # logarithms, so that no growth changes no bit
-    scene = g.without_harmonics()[ids]
+    cameras = views if isinstance(views, Cameras) else views.cameras
+    student = _Student(colors, config)
+    drawn = g.without_harmonics()[ids]
+    progress("learn", 0, config.steps)
+    for step in range(config.steps):
+        index = view_of_step(step, len(views), config.seed)
+        seen = FixedView(drawn, cameras[index])
+        where = ids[seen.ids]
+        own = student.select(where)
+        found = evaluate_torch(own.colors, torch.from_numpy(g.means[where]), seen.eye)
+        if isinstance(views, Cameras):
+            by_colors = _by_own_image(seen, found, seen_sh_colors(g, where, seen.eye))
+        else:
+            by_colors = _by_image(seen, found, views.image(index), config)
+        found.backward(torch.from_numpy(by_colors))  # type: ignore[no-untyped-call]
+        student.step(own)
+        progress("learn", step + 1, config.steps)
+    return student.finish()
 
-    def draw(camera: Cameras) -> Tensor:
-        """Return the image of one camera; what it does not blend is neither drawn nor evaluated."""
-        some = _blended(scene, camera)
-        tensors = GaussianTensors.from_gaussians(scene[some])
-        part = _select(start, growth, some)
-        return rasterize(tensors, camera, colors=part, antialiased=g.facts.antialiased).images[0]
 
-    rates = {
-        start.base: config.base_rate,
-        start.intensities: config.intensity_rate,
-        start.centers: config.center_rate,
-        growth: config.decay_rate,
-    }
-    _descend(rates, draw, views, config, progress)
-    return _put_back(colors, ids, replace(start, decays=_grow(start.decays, growth)))
+def view_of_step(step: int, count: int, seed: int) -> int:
+    """Return the index of the view of a step: each view once per round, in random order."""
+    turn, place = divmod(step, count)
+    return int(np.random.default_rng([seed, turn]).permutation(count)[place])
+
+
+def _by_own_image(seen: FixedView, found: Tensor, wanted: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the gradient (M, 3) of the mean squared difference of two images, by the colors of the first.
+
+    An image is linear in the colors, so that the difference of colors shows the difference of images.
+    """
+    difference = seen.image(found.detach().numpy() - wanted)
+    return seen.by_colors(difference * np.float32(2.0 / difference.size))
+
+
+def _by_image(seen: FixedView, found: Tensor, target: NDArray[np.float32], config: LearnConfig) -> NDArray[np.float32]:
+    """Return the gradient (M, 3) of the loss of a drawn view against an image, by its colors."""
+    image = torch.from_numpy(seen.image(found.detach().numpy())).requires_grad_()
+    (by_image,) = torch.autograd.grad(_loss(image, torch.from_numpy(target), config), [image])
+    return seen.by_colors(by_image.numpy())
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Colors of some Gaussians in a step.
+
+    Attributes:
+        rows: (M,) the Gaussians.
+        terms: Numbers of their terms.
+        colors: Tensors of these, with grown decays.
+        leaves: What collects gradients, by name.
+    """
+
+    rows: NDArray[np.int64]
+    terms: NDArray[np.int64]
+    colors: SrbfTensors
+    leaves: dict[str, Tensor]
+
+
+class _Student:
+    """Colors that change step by step.
+
+    Args:
+        colors: Colors to begin with.
+        config: Steps and rates.
+    """
+
+    def __init__(self, colors: SrbfColors, config: LearnConfig) -> None:
+        self._begun = colors
+        fall = config.rates_end ** (1.0 / max(config.steps - 1, 1))
+        terms = {
+            "centers": colors.centers.copy(),
+            "growth": np.zeros((colors.num_terms, 1), np.float32),  # logarithms, so that no growth changes no bit
+            "intensities": colors.intensities.copy(),
+        }
+        rates = {
+            "centers": config.center_rate,
+            "growth": config.decay_rate,
+            "intensities": config.intensity_rate,
+        }
+        self._bases = LazyAdam({"base": colors.base.copy()}, {"base": config.base_rate}, fall, config.steps)
+        self._terms = LazyAdam(terms, rates, fall, config.steps)
+
+    def select(self, rows: NDArray[np.int64]) -> _Part:
+        """Return the colors of some Gaussians, ascending, as tensors with gradients."""
+        begun = self._begun
+        counts = begun.counts[rows]
+        offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
+        terms = np.arange(offsets[-1]) + np.repeat(begun.offsets[rows] - offsets[:-1], counts)
+        values = self._bases.read(rows) | self._terms.read(terms)
+        leaves = {name: torch.from_numpy(each).requires_grad_() for name, each in values.items()}
+        colors = SrbfTensors(
+            begun.variant,
+            base=leaves["base"],
+            scales=torch.from_numpy(begun.scales[rows]),
+            offsets=torch.from_numpy(offsets),
+            functions=torch.from_numpy(begun.functions[terms].astype(np.int64)),
+            centers=leaves["centers"],
+            decays=_grow(torch.from_numpy(begun.decays[terms]), leaves["growth"][:, 0]),
+            intensities=leaves["intensities"],
+        )
+        return _Part(rows, terms, colors, leaves)
+
+    def step(self, part: _Part) -> None:
+        """Take one step along the gradients of a part."""
+        gradients = {}
+        for name, leaf in part.leaves.items():
+            gradients[name] = np.zeros(leaf.shape, np.float32) if leaf.grad is None else leaf.grad.numpy()
+        self._bases.step(part.rows, gradients)
+        self._terms.step(part.terms, gradients)
+
+    def finish(self) -> SrbfColors:
+        """Return the colors; what never changed is the same to the bit."""
+        self._bases.finish()
+        self._terms.finish()
+        begun = self._begun
+        angles = self._terms.values["centers"]
+        moved = (angles != begun.centers).any(axis=1)
+        angles[moved] = spherical_coordinates(unit_vectors(angles[moved]))
+        growth = torch.from_numpy(self._terms.values["growth"][:, 0])
+        decays = _grow(torch.from_numpy(begun.decays.copy()), growth).numpy()
+        return replace(
+            begun,
+            base=self._bases.values["base"],
+            centers=angles,
+            decays=decays,
+            intensities=self._terms.values["intensities"],
+        )
 
 
 def _grow(decays: Tensor, growth: Tensor) -> Tensor:
     """Return decays (T,) times the exponential of their growth (T,)."""
-    return (decays.detach() * growth.exp()).clamp(max=MAX_DECAY)
-
-
-def _blended(g: Gaussians, camera: Cameras) -> NDArray[np.int64]:
-    """Return the Gaussians that a camera's image blends, ascending; the first if there is none."""
-    found = np.flatnonzero(view_weights(g, camera).largest[0])
-    return found if len(found) else np.zeros(1, np.int64)
-
-
-def _select(colors: SrbfTensors, growth: Tensor, ids: NDArray[np.int64]) -> SrbfTensors:
-    """Return the grown colors of some Gaussians (M,), with gradients by `colors` and `growth`."""
-    some = torch.from_numpy(ids)
-    counts = colors.offsets.diff()[some]
-    offsets = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
-    moves = torch.repeat_interleave(colors.offsets[some] - offsets[:-1], counts)
-    terms = moves + torch.arange(len(moves))
-    return SrbfTensors(
-        colors.variant,
-        base=colors.base.index_select(0, some),
-        scales=colors.scales[some],
-        offsets=offsets,
-        functions=colors.functions[terms],
-        centers=colors.centers.index_select(0, terms),
-        decays=_grow(colors.decays[terms], growth.index_select(0, terms)),
-        intensities=colors.intensities.index_select(0, terms),
-    )
-
-
-def _put_back(colors: SrbfColors, ids: NDArray[np.int64], learned: SrbfTensors) -> SrbfColors:
-    """Return colors in which those of some Gaussians, ascending ids, are the learned ones."""
-    base = colors.base.copy()
-    base[ids] = learned.base.detach().numpy()
-    member = np.zeros(len(colors), bool)
-    member[ids] = True
-    terms = member[colors.gaussian_ids]
-    angles = learned.centers.detach().numpy().copy()
-    moved = (angles != colors.centers[terms]).any(axis=1)
-    angles[moved] = spherical_coordinates(unit_vectors(angles[moved]))
-    parts = {"centers": angles, "decays": learned.decays.detach().numpy()}
-    parts["intensities"] = learned.intensities.detach().numpy()
-    whole = {name: getattr(colors, name).copy() for name in parts}
-    for name, values in parts.items():
-        whole[name][terms] = values
-    return replace(colors, base=base, **whole)
+    return (decays * growth.exp()).clamp(max=MAX_DECAY)
 
 
 def learn_sh(
@@ -218,6 +289,13 @@ def learn_sh(
     return Gaussians(g.means, g.quats, g.scales, g.opacities, sh0.detach().numpy(), shN.detach().numpy(), facts=g.facts)
 
 
+def _loss(image: Tensor, target: Tensor, config: LearnConfig) -> Tensor:
+    """Return the loss of a drawn view against an image, both (H, W, 3)."""
+    if config.squared:
+        return (image - target).square().mean()
+    return photometric_loss(image, target, config.ssim_weight)
+
+
 def _descend(
     rates: dict[Tensor, float],
     draw: Callable[[Cameras], Tensor],
@@ -240,14 +318,10 @@ def _descend(
     fall = torch.optim.lr_scheduler.ExponentialLR(adam, config.rates_end ** (1.0 / max(config.steps - 1, 1)))
     progress("learn", 0, config.steps)
     for step in range(config.steps):
-        turn, place = divmod(step, len(views))
-        index = int(np.random.default_rng([config.seed, turn]).permutation(len(views))[place])
+        index = view_of_step(step, len(views), config.seed)
         image = draw(views.cameras[index])
         target = torch.from_numpy(views.image(index))
-        if config.squared:
-            loss = (image - target).square().mean()
-        else:
-            loss = photometric_loss(image, target, config.ssim_weight)
+        loss = _loss(image, target, config)
         adam.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         adam.step()

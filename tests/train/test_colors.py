@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from gsvis.color import FitConfig, SrbfColors, fit_srbf
+from gsvis.color.srbf import unit_vectors
 from gsvis.render import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.colors import LearnConfig, learn_colors, learn_sh
+from gsvis.train.colors_reference import learn_colors_reference
 from gsvis.train.images import PosedImages, render_views
 
 FEW = LearnConfig(steps=40)
@@ -99,14 +101,28 @@ def test_the_same_run_gives_the_same_colors(scene: Gaussians, colors: SrbfColors
         assert np.array_equal(getattr(one, name), getattr(two, name))
 
 
-def test_leaving_out_what_is_not_blended_changes_nothing(
-    scene: Gaussians, colors: SrbfColors, views: PosedImages, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("squared", [False, True])
+def test_learning_is_that_of_its_plain_twin(
+    scene: Gaussians, colors: SrbfColors, views: PosedImages, squared: bool
 ) -> None:
-    some = learn_colors(scene, colors, views, replace(FEW, steps=5))
-    monkeypatch.setattr("gsvis.train.colors._blended", lambda g, camera: np.arange(len(g)))
-    every = learn_colors(scene, colors, views, replace(FEW, steps=5))
-    for name in ("base", "centers", "decays", "intensities"):
-        assert np.allclose(getattr(some, name), getattr(every, name), rtol=1e-4, atol=1e-5)
+    config = replace(FEW, steps=5, squared=squared)
+    fast = learn_colors(scene, colors, views, config)
+    plain = learn_colors_reference(scene, colors, views, config)
+    for name in ("base", "decays", "intensities"):
+        assert np.allclose(getattr(fast, name), getattr(plain, name), rtol=1e-4, atol=1e-5)
+    assert np.allclose(unit_vectors(fast.centers), unit_vectors(plain.centers), atol=1e-4)
+
+
+def test_cameras_alone_teach_what_images_of_the_scene_do(
+    scene: Gaussians, colors: SrbfColors, views: PosedImages
+) -> None:
+    config = replace(FEW, steps=5, squared=True)
+    own = learn_colors(scene, colors, views.cameras, config)
+    images = learn_colors(scene, colors, render_views(scene, views.cameras), config)
+    for name in ("base", "decays", "intensities"):
+        assert np.allclose(getattr(own, name), getattr(images, name), rtol=1e-3, atol=1e-4)
+    with pytest.raises(ValueError, match="views: expected images"):
+        learn_colors(scene, colors, views.cameras, FEW)
 
 
 def test_a_view_of_nothing_teaches_nothing(scene: Gaussians, colors: SrbfColors) -> None:

@@ -21,7 +21,7 @@ from numba.extending import intrinsic
 
 from gsvis._kernels.simd import Builder, Vector
 
-__all__ = ["CHANNELS", "LANES", "RECORD", "blend", "blend_backward", "find_reached_rows", "weigh"]
+__all__ = ["CHANNELS", "LANES", "RECORD", "blend", "blend_backward", "find_reached_rows", "gather", "weigh"]
 
 LANES = 16
 CHANNELS = 8
@@ -241,6 +241,45 @@ def weigh(typing_context, state, records, number, todo, lit):
         _each_row(lanes, data, record, args[3], body)
         results = [Vector(lanes, builder.load(largest)).largest(), Vector(lanes, builder.load(total)).sum()]
         return context.make_tuple(builder, pair, results)
+
+    return signature, generate
+
+
+@intrinsic
+def gather(typing_context, state, records, number, todo, lit, sums, pair):
+    """Sum what the pixels of a tile hold in RED, GREEN and BLUE, times the weight of one Gaussian, front to back.
+
+    Args:
+        typing_context: numba's, unused.
+        state: (16, CHANNELS, 16) float32; RED, GREEN and BLUE stay as they are.
+        records: (K, 16) float32.
+        number: Which record.
+        todo: int64, rows to take it into.
+        lit: (1,) int64, rows with light left; bits are cleared as it is spent.
+        sums: (P, 4) float32, receives the three sums and a zero in row `pair`.
+        pair: Which row.
+    """
+    del typing_context
+    signature = types.void(state, records, types.int64, types.int64, lit, sums, types.int64)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
+        data, lit_rows, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4, 5))
+        lanes = Builder(builder, LANES, "float32")
+        record = _Record(context, lanes, sig.args[1], args[1], args[2])
+        rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(3)]
+
+        def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
+            """Emit the code for one row."""
+            weight, _ = _pass_light(lanes, (y, p, seen, t), row, ir.Constant(_F32, 0.0), lit_rows)
+            for room, channel in zip(rooms, (RED, GREEN, BLUE), strict=True):
+                held = Vector(lanes, builder.load(room))
+                builder.store(weight.times_plus(_load(lanes, row, channel), held).value, room)
+
+        _each_row(lanes, data, record, args[3], body)
+        totals = lanes.sums([Vector(lanes, builder.load(room)) for room in rooms])
+        lanes.store_first(totals, 4, out, builder.mul(args[6], _int(4)))
+        return context.get_dummy_value()
 
     return signature, generate
 

@@ -1,0 +1,113 @@
+"""Kernels for views of Gaussians whose geometry stays: which of them a view blends, and gradients by their colors.
+
+Threads take tiles as they come free. Results do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gsvis._kernels.compiled import kernel
+from gsvis._kernels.shared import take_next
+from gsvis._kernels.threads import in_parts, in_threads
+from gsvis.render._kernels.lanes import RECORD, gather, weigh
+from gsvis.render._kernels.tiles import _BATCH, TILE, _allocate, _open_tile, _prepare
+
+__all__ = ["gather_tiles", "mark_blended", "sum_shares"]
+
+
+@in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
+@kernel(error_model="numpy")
+def mark_blended(taken, splats, features, offsets, members, tiles_x, width, height, marks):
+    """Write 1 into marks (M,) uint8 for each splat with a weight above 0 at a pixel.
+
+    Args:
+        taken: Counter of `take_next`; the caller leaves it out.
+        splats: (M, 8) float64, see `_kernels.project`.
+        features: (M, 4) float32, unused.
+        offsets: (tiles + 1,) int64, the list of each tile.
+        members: (P,) int32, the splats of the lists, front to back.
+        tiles_x: Number of tiles across.
+        width: Pixels.
+        height: Pixels.
+        marks: (M,) uint8, zeros.
+    """
+    tiles = len(offsets) - 1
+    tile = take_next(taken)
+    while tile < tiles:
+        left = (tile % tiles_x) * TILE
+        top = (tile // tiles_x) * TILE
+        state, gates, rows, _ = _open_tile(left, top, width, height)
+        records = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD))
+        todo = np.empty(_BATCH, np.int64)
+        lit = np.full(1, (1 << rows) - 1)
+        first = offsets[tile]
+        total = offsets[tile + 1] - offsets[tile]
+        for start in range(0, total, _BATCH):
+            if lit[0] == 0:
+                break
+            count = min(_BATCH, total - start)
+            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+            for j in range(count):
+                largest, _ = weigh(state, records, j, todo[j] & lit[0], lit)
+                if largest > 0.0:
+                    marks[members[first + start + j]] = 1  # threads write the same value
+        tile = take_next(taken)
+
+
+@in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
+@kernel(error_model="numpy")
+def gather_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, v_image, out):
+    """Write the gradient by the color of every (tile, splat) pair into out (P, 4) float32; the last is 0.
+
+    Args:
+        taken: Counter of `take_next`; the caller leaves it out.
+        splats: (M, 8) float64.
+        features: (M, 4) float32, unused.
+        offsets: (tiles + 1,) int64, the list of each tile.
+        members: (P,) int32, the splats of the lists, front to back.
+        pair_of: (P,) int32, the number of each pair.
+        tiles_x: Number of tiles across.
+        v_image: (H, W, 3) float32, gradient of a loss by the image.
+        out: (P, 4) float32.
+    """
+    height, width, _ = v_image.shape
+    tiles = len(offsets) - 1
+    tile = take_next(taken)
+    while tile < tiles:
+        left = (tile % tiles_x) * TILE
+        top = (tile // tiles_x) * TILE
+        state, gates, rows, columns = _open_tile(left, top, width, height)
+        for r in range(rows):
+            for k in range(columns):
+                for c in range(3):
+                    state[r, 1 + c, k] = v_image[top + r, left + k, c]
+        records = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD))
+        todo = np.empty(_BATCH, np.int64)
+        lit = np.full(1, (1 << rows) - 1)
+        first = offsets[tile]
+        total = offsets[tile + 1] - offsets[tile]
+        done = 0
+        while done < total and lit[0] != 0:
+            count = min(_BATCH, total - done)
+            _prepare(splats, features, members, first, done, count, left, top, gates, records, todo)
+            for j in range(count):
+                gather(state, records, j, todo[j] & lit[0], lit, out, np.int64(pair_of[first + done + j]))
+            done += count
+        for k in range(first + done, first + total):
+            for e in range(4):
+                out[pair_of[k], e] = 0.0
+        tile = take_next(taken)
+
+
+@in_parts(lambda order, *_: len(order))
+@kernel(error_model="numpy")
+def sum_shares(begin, end, order, first_pair, pairs, out):
+    """Sum the pairs (P, 4) of each splat, in the order of its tiles: out (M, 3) float32."""
+    for k in range(begin, end):
+        m = order[k]
+        for c in range(3):
+            total = 0.0
+            for p in range(first_pair[k], first_pair[k + 1]):
+                total += pairs[p, c]
+            out[m, c] = total
