@@ -41,7 +41,7 @@ VERSIONS = {
     "levels": 9,
     "sets": 5,
     "joined": 3,
-    "colors": 3,
+    "colors": 4,
     "epsilon": 1,
     "rounding": 1,
     "cost": 2,
