@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import add_arguments, write_result
+from _harness import add_arguments, need, write_result
 
 from gsvis._kernels.threads import one_thread
 from gsvis.package import Package
@@ -83,9 +83,10 @@ def figures_of(name: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_arguments(parser)
-    parser.add_argument("--package", nargs="+", required=True, help="folders of packages with visible sets")
+    parser.add_argument("--package", nargs="+", help="folders of packages with visible sets")
     parser.add_argument("--cells", type=int, default=24)
     args = parser.parse_args()
+    need(args.package, "--package, that `gsvis prepare` makes")
     figures: list[dict[str, Any]] = []
     found = {}
     with one_thread():

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import add_arguments, write_result
+from _harness import add_arguments, need, write_result
 from _reader import build_reader
 from static_site import Eye, first_bytes, is_drawn, name_arrivals, package_ids, trace, views_of
 
@@ -33,11 +33,12 @@ TARGETS = (25.0, 35.0)
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_arguments(parser)
-    parser.add_argument("--package", required=True, help="folder of a package with visible sets")
+    parser.add_argument("--package", help="folder of a package with visible sets")
     parser.add_argument("--eyes", type=int, default=16)
     parser.add_argument("--seeds", type=int, nargs="+", default=[9001, 9002])
     parser.add_argument("--shares", type=float, nargs="+", default=[0.0, 0.5, 1.0])
     args = parser.parse_args()
+    need(args.package, "--package, that `gsvis prepare` makes")
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as made_in, Package.open(args.package) as package:
         folder = Path(made_in)

@@ -239,7 +239,7 @@ def asked_of(pose: dict[str, Any], up: tuple[float, ...]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_arguments(parser)
-    parser.add_argument("--package", required=True, help="folder of a package with visible sets")
+    parser.add_argument("--package", help="folder of a package with visible sets")
     parser.add_argument("--scene", default="showroom/lod-meta.json", help="its scene, in the real data")
     parser.add_argument("--lod", type=int, default=3)
     parser.add_argument("--modules", type=Path, help="node_modules with playcanvas, three and @sparkjsdev/spark")
@@ -248,6 +248,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=21)
     parser.add_argument("--links", type=float, nargs="+", default=[0.03, 30.0], help="delay and Mbit/s, in pairs")
     args = parser.parse_args()
+    need(args.package, "--package, that `gsvis prepare` makes")
     need(args.modules, "--modules DIR: npm packages of the other engines")
     g = load_scene(realdata() / "scenes" / args.scene, lod=args.lod)
     rows: list[dict[str, Any]] = []

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 from _browsers import visits
-from _harness import add_arguments, first_reaching, write_result
+from _harness import add_arguments, first_reaching, need, write_result
 from _slow_host import Host, slow_host
 from static_site import Eye, camera_of, is_drawn, name_arrivals, package_ids, state_after, views_of
 
@@ -94,7 +94,7 @@ def visit(
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_arguments(parser)
-    parser.add_argument("--package", required=True, help="folder of a package with visible sets")
+    parser.add_argument("--package", help="folder of a package with visible sets")
     parser.add_argument("--browsers", nargs="+", default=["chromium"], help="chromium, firefox")
     parser.add_argument("--eyes", type=int, default=4)
     parser.add_argument("--visits", type=int, default=3, help="visits at each eye")
@@ -102,6 +102,7 @@ def main() -> None:
     parser.add_argument("--delays", type=float, nargs="+", default=DELAYS)
     parser.add_argument("--rates", type=float, nargs="+", default=RATES)
     args = parser.parse_args()
+    need(args.package, "--package, that `gsvis prepare` makes")
     figures: list[dict[str, Any]] = []
     rows = []
     with tempfile.TemporaryDirectory() as made_in, Package.open(args.package) as package:

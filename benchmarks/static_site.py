@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import add_arguments, first_reaching, write_result
+from _harness import add_arguments, first_reaching, need, write_result
 from _reader import build_reader
 
 from gsvis.abr import FieldOfView
@@ -156,10 +156,11 @@ def trace(folder: Path, views: list[dict[str, Any]], script: Path) -> list[list[
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_arguments(parser)
-    parser.add_argument("--package", required=True, help="folder of a package with visible sets")
+    parser.add_argument("--package", help="folder of a package with visible sets")
     parser.add_argument("--eyes", type=int, default=6)
     parser.add_argument("--seed", type=int, default=3)
     args = parser.parse_args()
+    need(args.package, "--package, that `gsvis prepare` makes")
     rng = np.random.default_rng(args.seed)
     with tempfile.TemporaryDirectory() as made_in, Package.open(args.package) as package:
         script = build_reader(Path(made_in), "trace")
