@@ -90,7 +90,8 @@ def recorded(record: Record) -> dict[str, Any]:
             said("client", pose.to_bytes())
             session.on_pose(k / 10, pose.position, pose.quat)
             message = session.next_message(k / 10, budget)
-            assert message is not None
+            if message is None:  # nothing that fits into the memory is worth more than what is there
+                continue
             received = receiver.receive(message.data)
             lists = {name: getattr(received, name).tolist() for name in ("gaussians", "terms", "dropped")}
             if memory:
@@ -239,5 +240,6 @@ def test_the_page_says_where_the_json_of_welcome_is(vector: dict[str, Any]) -> N
 if __name__ == "__main__":
     if sys.argv[1:] != ["--write"]:
         raise SystemExit("python tests/stream/test_vector.py --write")
-    for each in RECORDS:
-        each.path.write_text(json.dumps(recorded(each), indent=1) + "\n", encoding="utf-8")
+    found = [recorded(each) for each in RECORDS]  # all of them before any is written
+    for each, value in zip(RECORDS, found, strict=True):
+        each.path.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
