@@ -51,7 +51,8 @@ def look_around_reference(
         spent: Transmittance below which light counts as spent.
 
     Returns:
-        Largest share of a pixel's light that each takes (N,), largest light in front over the covered pixels (N,), and
+        Weight of each, largest share of a pixel's light that it takes times the root of the share of its blurred splat
+        that it covers (N,), largest light in front over the covered pixels (N,), and
         depths (6, size, size) at which light is spent.
     """
     weights = np.zeros(len(g))
@@ -83,7 +84,7 @@ def look_around_reference(
             power = conic[0, 0] * dx * dx + 2.0 * conic[0, 1] * dx * dy + conic[1, 1] * dy * dy
             alpha = g.opacities[i] * np.exp(-0.5 * power)
             alpha = np.where(alpha >= 1.0 / 255.0, np.minimum(alpha, 0.999), 0.0)
-            weights[i] = max(weights[i], cover * (alpha * left[face]).max())
+            weights[i] = max(weights[i], np.sqrt(cover) * (alpha * left[face]).max())
             lights[i] = max(lights[i], np.where(alpha > 0.0, left[face], 0.0).max())
             after = left[face] * (1.0 - cover * alpha)
             depths[face][(after < spent) & (left[face] >= spent)] = far[i]

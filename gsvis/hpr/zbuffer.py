@@ -153,7 +153,8 @@ class Seen:
         ids: (K,) int64, ascending: the Gaussians that some light reaches.
         weights: (K,) float32, largest share of a pixel's light that each takes, over the pixels where light is not
             spent in front. A Gaussian much larger than a pixel takes its weight at the center; one smaller than a
-            pixel takes less, by the share of the pixel that it covers.
+            pixel takes less: by the root of the share of its blurred splat that it covers, halfway (as a ratio)
+            between what a ray finds and what an image shows.
         light: (K,) float32, largest transmittance in front of each, over the pixels it reaches; opacity times this
             is the weight of its peak there.
         zbuffer: Where the light ends.

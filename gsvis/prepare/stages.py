@@ -39,7 +39,7 @@ __all__ = ["VERSIONS", "StageRecord", "Stages", "hash_levels"]
 
 VERSIONS = {
     "levels": 9,
-    "sets": 5,
+    "sets": 6,
     "joined": 3,
     "colors": 4,
     "epsilon": 1,

@@ -16,10 +16,10 @@ VIEWS = ViewSampling(8, 64, 48)
 
 
 def judge(low, high, tmp_path):
-    g = platform(count=1200)
+    g = platform(count=4000)  # dense: most of it hides what lies below
     space = NavigableSpace.from_box(low, high, 8)
     grid = CellGrid.over(space, max_cells=4)
-    config = PvsConfig(size=24, lower_size=24, rays=256, max_inner=1)
+    config = PvsConfig(size=128, lower_size=128, rays=256, max_inner=1)
     with build_pvs(g, grid, space, tmp_path / "sets", config) as store:
         return judge_sets(as_levels(g), space, store, VIEWS)
 

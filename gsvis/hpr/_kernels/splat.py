@@ -5,7 +5,8 @@ left. Clusters are splatted nearest first, in rounds. A cluster, a Gaussian or a
 under it has light left. Skipping changes no result. Faces as in `sphere.py`.
 
 A blurred splat is wider than its Gaussian. It takes only the share of a pixel's light that the Gaussian covers, the
-ratio of the two areas; else splats smaller than a pixel would close the gaps between them.
+ratio of the two areas; else splats smaller than a pixel would close the gaps between them. Its weight is the geometric
+mean of what the Gaussian takes, which a ray finds, and of what the blurred splat takes, which an image shows.
 """
 
 from __future__ import annotations
@@ -206,7 +207,7 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square,
     level = np.float64(near[i, 4]) * near[i, 4]
     # A thin splat far off the axis: rounding must not make its determinant 0.
     det = max(sxx * syy - sxy * sxy, DILATION * DILATION)
-    cover = np.float32(math.sqrt(min(max(sharp_x * sharp_y - sxy * sxy, 0.0) / det, 1.0)))
+    cover = math.sqrt(min(max(sharp_x * sharp_y - sxy * sxy, 0.0) / det, 1.0))
     a = syy / det
     b = -sxy / det
     c = sxx / det
@@ -232,8 +233,10 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square,
                 np.float32(qb),
                 np.float32(qc),
             )
-            darkened += blend_block(square, lit, form, spent, cover, far, x, y, min(y1 + 1 - y, LANES), most)
-    weight = take_largest(most, 0) * cover
+            darkened += blend_block(
+                square, lit, form, spent, np.float32(cover), far, x, y, min(y1 + 1 - y, LANES), most
+            )
+    weight = take_largest(most, 0) * np.float32(math.sqrt(cover))
     clear = take_largest(most, 1)
     if clear >= spent:
         place = 2 * ids[i]
