@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from gsvis.color import VARIANTS, FitConfig, SrbfFit, evaluate_along, fit_srbf, reference, srbf, unit_vectors
 from gsvis.color._kernels.fit import fit_lobes
-from gsvis.color._kernels.refine import refine, work
+from gsvis.color._kernels.refine import add_lobe, find_products, refine, work
 from gsvis.color._pursuit import Pursuit
 from gsvis.color.fit import sample_colors
 from gsvis.scene.gaussians import Gaussians
@@ -299,11 +299,27 @@ def test_refinement_is_as_good_as_scipys(terms: int, channels: int) -> None:
     best, found = reference.refine(truth, POINTS, points[3] ** 2, rng.normal(scale=3.0, size=(terms, 3)), ridge=0.01)
     nearby = found * rng.uniform(0.9, 1.1, found.shape)
     w, v, a = work(terms, 320, channels), nearby.copy(), np.zeros((terms, channels))
+    find_products(w, points, targets, 320, terms, channels, v)
     refine(w, points, targets, 320, total, terms, channels, v, a, (0.01, 1e-3, 1e3, 1e-9, 300.0, 0.0, 0.0, 0.02))
     decays = np.linalg.norm(v, axis=1)
     lobes = np.exp(points[:3].T.astype(np.float64) @ v.T - decays)
     left = np.square((truth - lobes @ a) * points[3][:, None]).sum() + 0.01 * np.square(a).sum()
     assert left <= 1.02 * best + 1e-4 * total
+
+
+def test_products_of_one_lobe_more_are_those_of_all() -> None:
+    rng = np.random.default_rng(6)
+    points = np.zeros((4, 320), np.float32)
+    points[:3], points[3] = POINTS.T, rng.uniform(0.2, 1.0, 320)
+    targets = np.zeros((4, 320), np.float32)
+    targets[:3] = rng.normal(size=(3, 320))
+    v = rng.normal(scale=3.0, size=(5, 3))
+    one, whole = work(5, 320, 3), work(5, 320, 3)
+    for terms in range(5):
+        add_lobe(one, points, targets, 320, terms, 3, v)
+    find_products(whole, points, targets, 320, 5, 3, v)
+    for name in ("rows", "inner", "outer"):
+        np.testing.assert_allclose(getattr(one, name), getattr(whole, name), rtol=1e-5, atol=1e-6)
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)

@@ -9,8 +9,17 @@ import numpy as np
 
 from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.threads import in_parts
-from gsvis.color._kernels.lobes import LANES, dots, gram, lobes
-from gsvis.color._kernels.refine import copy, error_after, falls_along, refine, settle, work
+from gsvis.color._kernels.lobes import LANES
+from gsvis.color._kernels.refine import (
+    add_lobe,
+    copy,
+    error_after,
+    falls_along,
+    find_products,
+    refine,
+    settle,
+    work,
+)
 
 __all__ = ["fit_lobes", "settle_lobes"]
 
@@ -100,6 +109,7 @@ def _append(w, points, left, padded, total, terms, channels, start, lobe, intens
     """Add a lobe to `terms` fixed lobes; only the new one moves, to fit what they leave."""
     for i in range(3):
         w.alone[0, i] = start[i]
+    find_products(w, points, left, padded, np.int64(1), channels, w.alone)
     refine(w, points, left, padded, total, np.int64(1), channels, w.alone, w.own, limits)
     for i in range(3):
         lobe[terms, i] = w.alone[0, i]
@@ -156,6 +166,7 @@ def _fit_block(
             copy(intensities, k, channels, old_intensities)
             for i in range(3):
                 lobe[k, i] = starts[chosen, i]
+            add_lobe(w, points, rows, padded, np.int64(k), channels, lobe)
             for _ in range(_PATIENCE):
                 scaled = (
                     limits[0] * weight,
@@ -168,9 +179,6 @@ def _fit_block(
                     limits[7],
                 )
                 refine(w, points, rows, padded, total, k + 1, channels, lobe, intensities, scaled)
-                lobes(points, padded, lobe, k + 1, w.rows)
-                gram(w.rows, 4 * (k + 1), padded, w.scratch, w.inner)
-                dots(w.rows, 4 * (k + 1), rows, channels, padded, w.scratch, w.outer)
                 if falls_along(w, total, k + 1, channels, intensities):
                     break
                 emphasis = min(4.0 * emphasis, 1.0)
@@ -179,9 +187,7 @@ def _fit_block(
                 copy(old_lobe, k, 3, lobe)
                 copy(old_intensities, k, channels, intensities)
                 _append(w, points, left, padded, mean * weight, k, channels, starts[chosen], lobe, intensities, scaled)
-                lobes(points, padded, lobe, k + 1, w.rows)
-                gram(w.rows, 4 * (k + 1), padded, w.scratch, w.inner)
-                dots(w.rows, 4 * (k + 1), rows, channels, padded, w.scratch, w.outer)
+                find_products(w, points, rows, padded, np.int64(k + 1), channels, lobe)
                 error = error_after(w, total, k + 1, channels, intensities)
             mean = error / weight
             _subtract_lobes(w.rows, rows, intensities, k + 1, channels, count, left)
@@ -300,9 +306,7 @@ def settle_lobes(begin, end, directions, targets, weights, limits, counts, v, a,
         if terms == 0:
             continue
         copy(v[g], terms, 3, lobe)
-        lobes(points, padded, lobe, terms, w.rows)
-        gram(w.rows, 4 * terms, padded, w.scratch, w.inner)
-        dots(w.rows, 4 * terms, rows, channels, padded, w.scratch, w.outer)
+        find_products(w, points, rows, padded, terms, channels, lobe)
         scaled = (limits[0] * weight, *limits[1:])
         intensities[:] = 0.0
         errors[g] = settle(w, total, terms, channels, scaled, intensities, np.bool_(True)) / weight

@@ -15,7 +15,7 @@ from numba.extending import intrinsic
 from gsvis._kernels.compiled import kernel
 from gsvis._kernels.simd import Builder, Vector
 
-__all__ = ["LANES", "dots", "gram", "lobes"]
+__all__ = ["LANES", "append_products", "dots", "gram", "lobes"]
 
 LANES = 16
 _LOG2E = 1.4426950408889634
@@ -136,3 +136,44 @@ def dots(rows, number, targets, channels, count, scratch, out):
         for p in range(4):
             for c in range(channels):
                 out[i + p, c] = scratch[4 * p + c]
+
+
+@kernel
+def append_products(fresh, rows, terms, targets, channels, count, scratch, inner, outer):
+    """Add a lobe to `terms` lobes and their inner products: what `lobes`, `gram` and `dots` give for all of them.
+
+    Args:
+        fresh: (4, D) the new lobe and its three slopes, as `lobes` writes them.
+        rows: (P, D) the lobes, then three slopes of each; changed in place.
+        terms: Number of lobes before.
+        targets: (4, D).
+        channels: Number of targets.
+        count: Number of directions, a multiple of 16.
+        scratch: (16,) buffer.
+        inner: (P, P) inner products of the rows; changed in place.
+        outer: (P, C) those with the targets; changed in place.
+    """
+    for i in range(4 * terms - 1, -1, -1):  # slopes make room for the new lobe
+        to = i if i < terms else i + 1
+        for j in range(4 * terms - 1, -1, -1):
+            inner[to, j if j < terms else j + 1] = inner[i, j]
+        if i >= terms:
+            for c in range(channels):
+                outer[to, c] = outer[i, c]
+            for d in range(count):
+                rows[to, d] = rows[i, d]
+    for p in range(4):
+        to = terms if p == 0 else 4 * terms + p
+        for d in range(count):
+            rows[to, d] = fresh[p, d]
+    for j in range(0, 4 * terms + 4, 4):
+        _block(fresh, 0, rows, j, count, scratch)
+        for p in range(4):
+            to = terms if p == 0 else 4 * terms + p
+            for q in range(4):
+                inner[to, j + q] = scratch[4 * p + q]
+                inner[j + q, to] = scratch[4 * p + q]
+    _block(fresh, 0, targets, 0, count, scratch)
+    for p in range(4):
+        for c in range(channels):
+            outer[terms if p == 0 else 4 * terms + p, c] = scratch[4 * p + c]

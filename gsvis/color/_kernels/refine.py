@@ -11,9 +11,20 @@ from collections import namedtuple
 import numpy as np
 
 from gsvis._kernels.compiled import inner, kernel
-from gsvis.color._kernels.lobes import dots, gram, lobes
+from gsvis.color._kernels.lobes import append_products, dots, gram, lobes
 
-__all__ = ["Work", "best_intensities", "copy", "error_after", "falls_along", "refine", "settle", "work"]
+__all__ = [
+    "Work",
+    "add_lobe",
+    "best_intensities",
+    "copy",
+    "error_after",
+    "falls_along",
+    "find_products",
+    "refine",
+    "settle",
+    "work",
+]
 
 # A lobe of amplitude A and decay d changes a color by more than epsilon over a part of the sphere that is about
 # L / (2 d), L = log(A / epsilon). Its width here is L / (L + 2 d): the same for narrow lobes, below 1 for wide ones,
@@ -24,7 +35,8 @@ _ATTEMPTS_TO_SETTLE = 16
 
 Work = namedtuple(
     "Work",
-    "rows inner outer inner2 outer2 small wide normal damped slope step trial intensities scratch factors alone own",
+    "rows inner outer inner2 outer2 small wide normal damped slope step trial intensities scratch factors"
+    " alone own fresh",
 )
 
 
@@ -53,6 +65,7 @@ def work(most_terms, directions, channels):
         z(p),
         z((1, 3)),
         z((1, channels)),
+        z((4, directions), np.float32),
     )
 
 
@@ -123,6 +136,34 @@ def _weigh_prefixes(inner, outer, number, channels, factors):
         row = inner[i]
         for j in range(number):
             row[j] *= min(factors[i], factors[j])
+
+
+@inner(fastmath=True)
+def _unweigh_prefixes(inner, outer, number, channels, factors):
+    """Undo `_weigh_prefixes`, to rounding."""
+    for i in range(number):
+        for c in range(channels):
+            outer[i, c] /= factors[i]
+        row = inner[i]
+        for j in range(number):
+            row[j] /= min(factors[i], factors[j])
+
+
+@kernel
+def find_products(w, points, targets, count, terms, channels, v):
+    """Write the rows of `terms` lobes (v), and their plain inner products, into w."""
+    lobes(points, count, v, terms, w.rows)
+    gram(w.rows, 4 * terms, count, w.scratch, w.inner)
+    dots(w.rows, 4 * terms, targets, channels, count, w.scratch, w.outer)
+
+
+@kernel
+def add_lobe(w, points, targets, count, terms, channels, v):
+    """Do what `find_products` does for one lobe more, from rows and products of the first `terms` lobes in w."""
+    for i in range(3):
+        w.alone[0, i] = v[terms, i]
+    lobes(points, count, w.alone, 1, w.fresh)
+    append_products(w.fresh, w.rows, terms, targets, channels, count, w.scratch, w.inner, w.outer)
 
 
 @inner(fastmath=True)
@@ -247,10 +288,10 @@ def _try_step(w, v, terms, damping, largest, least_decay, most_decay):
 
 @kernel(fastmath=True)
 def refine(w, points, targets, count, total, terms, channels, v, intensities, limits):
-    """Move `terms` lobes (v, intensities, in place) to a nearby optimum; leave rows, inner and outer in w valid.
+    """Move `terms` lobes (v, intensities, in place) to a nearby optimum.
 
     Args:
-        w: Work space.
+        w: Work space, with rows and products of the lobes (`find_products`), before and after.
         points: (4, D) x, y, z, root of the weight.
         targets: (4, D) weighted targets; rows beyond `channels` are 0.
         count: Number of directions, a multiple of 16.
@@ -265,11 +306,9 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
     ridge, least_decay, most_decay, tolerance, steps, emphasis, narrow, epsilon = limits
     total *= 1.0 + emphasis * (terms - 1)
     size = 4 * terms
-    lobes(points, count, v, terms, w.rows)
-    gram(w.rows, size, count, w.scratch, w.inner)
-    dots(w.rows, size, targets, channels, count, w.scratch, w.outer)
     _count_prefixes(terms, emphasis, w.factors)
     _weigh_prefixes(w.inner, w.outer, size, channels, w.factors)
+    tried = False  # whether the rows are those of a step that was not taken
     explained = best_intensities(w.inner, w.outer, terms, channels, ridge, w.small, intensities)
     price = narrow * _widths(v, intensities, terms, channels, epsilon) if narrow > 0.0 else 0.0
     damping = 1e-2
@@ -286,6 +325,7 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
         for _ in range(_ATTEMPTS):
             if _try_step(w, v, terms, damping, largest, least_decay, most_decay):
                 lobes(points, count, w.trial, terms, w.rows)
+                tried = True
                 gram(w.rows, size, count, w.scratch, w.inner2)
                 dots(w.rows, size, targets, channels, count, w.scratch, w.outer2)
                 _weigh_prefixes(w.inner2, w.outer2, size, channels, w.factors)
@@ -297,6 +337,7 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
             damping *= 6.0
         if gained < 0.0:
             break
+        tried = False
         explained = better
         price = wide
         damping = max(0.2 * damping, 1e-6)
@@ -306,6 +347,9 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
         copy(w.outer2, size, channels, w.outer)
         if gained < tolerance * error:
             break
+    if tried:
+        lobes(points, count, v, terms, w.rows)
+    _unweigh_prefixes(w.inner, w.outer, size, channels, w.factors)
 
 
 @inner(fastmath=True)
