@@ -18,6 +18,7 @@ from torch import Tensor
 
 from gsvis import _check
 from gsvis.color.evaluate_torch import SrbfTensors, evaluate_torch
+from gsvis.color.learning import LearnedValues, RowsOfView, SeenColors, see_rgb
 from gsvis.color.sh import seen_sh_colors
 from gsvis.color.srbf import MAX_DECAY, SrbfColors, spherical_coordinates, unit_vectors
 from gsvis.progress import Progress, silent
@@ -125,21 +126,19 @@ def learn_colors(
     if config.steps == 0 or len(colors) == 0 or len(ids) == 0:
         return colors
     cameras = views if isinstance(views, Cameras) else views.cameras
-    student = _Student(colors, config)
+    student = _Student(g, colors, config)
     drawn = g.without_harmonics()[ids]
     progress("learn", 0, config.steps)
     for step in range(config.steps):
         index = view_of_step(step, len(views), config.seed)
         seen = FixedView(drawn, cameras[index])
         where = ids[seen.ids]
-        own = student.select(where)
-        found = evaluate_torch(own.colors, torch.from_numpy(g.means[where]), seen.eye)
+        found = student.see(where, seen.eye)
         if isinstance(views, Cameras):
-            by_colors = _by_own_image(seen, found, seen_sh_colors(g, where, seen.eye))
+            by_colors = _by_own_image(seen, found.colors, seen_sh_colors(g, where, seen.eye))
         else:
-            by_colors = _by_image(seen, found, views.image(index), config)
-        found.backward(torch.from_numpy(by_colors))  # type: ignore[no-untyped-call]
-        student.step(own)
+            by_colors = _by_image(seen, found.colors, views.image(index), config)
+        student.step(found, by_colors)
         progress("learn", step + 1, config.steps)
     return student.finish()
 
@@ -150,48 +149,35 @@ def view_of_step(step: int, count: int, seed: int) -> int:
     return int(np.random.default_rng([seed, turn]).permutation(count)[place])
 
 
-def _by_own_image(seen: FixedView, found: Tensor, wanted: NDArray[np.float32]) -> NDArray[np.float32]:
+def _by_own_image(seen: FixedView, found: NDArray[np.float32], wanted: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the gradient (M, 3) of the mean squared difference of two images, by the colors of the first.
 
     An image is linear in the colors, so that the difference of colors shows the difference of images.
     """
-    difference = seen.image(found.detach().numpy() - wanted)
+    difference = seen.image(found - wanted)
     return seen.by_colors(difference * np.float32(2.0 / difference.size))
 
 
-def _by_image(seen: FixedView, found: Tensor, target: NDArray[np.float32], config: LearnConfig) -> NDArray[np.float32]:
+def _by_image(
+    seen: FixedView, found: NDArray[np.float32], target: NDArray[np.float32], config: LearnConfig
+) -> NDArray[np.float32]:
     """Return the gradient (M, 3) of the loss of a drawn view against an image, by its colors."""
-    image = torch.from_numpy(seen.image(found.detach().numpy())).requires_grad_()
+    image = torch.from_numpy(seen.image(found)).requires_grad_()
     (by_image,) = torch.autograd.grad(_loss(image, torch.from_numpy(target), config), [image])
     return seen.by_colors(by_image.numpy())
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """Colors of some Gaussians in a step.
-
-    Attributes:
-        rows: (M,) the Gaussians.
-        terms: Numbers of their terms.
-        colors: Tensors of these, with grown decays.
-        leaves: What collects gradients, by name.
-    """
-
-    rows: NDArray[np.int64]
-    terms: NDArray[np.int64]
-    colors: SrbfTensors
-    leaves: dict[str, Tensor]
 
 
 class _Student:
     """Colors that change step by step.
 
     Args:
+        g: N Gaussians.
         colors: Colors to begin with.
         config: Steps and rates.
     """
 
-    def __init__(self, colors: SrbfColors, config: LearnConfig) -> None:
+    def __init__(self, g: Gaussians, colors: SrbfColors, config: LearnConfig) -> None:
+        self._means = g.means
         self._begun = colors
         fall = config.rates_end ** (1.0 / max(config.steps - 1, 1))
         terms = {
@@ -207,33 +193,22 @@ class _Student:
         self._bases = LazyAdam({"base": colors.base.copy()}, {"base": config.base_rate}, fall, config.steps)
         self._terms = LazyAdam(terms, rates, fall, config.steps)
 
-    def select(self, rows: NDArray[np.int64]) -> _Part:
-        """Return the colors of some Gaussians, ascending, as tensors with gradients."""
+    def see(self, rows: NDArray[np.int64], eye: NDArray[np.float64]) -> SeenColors:
+        """Return the colors of some Gaussians, ascending, as an eye sees them."""
         begun = self._begun
-        counts = begun.counts[rows]
-        offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
-        terms = np.arange(offsets[-1]) + np.repeat(begun.offsets[rows] - offsets[:-1], counts)
-        values = self._bases.read(rows) | self._terms.read(terms)
-        leaves = {name: torch.from_numpy(each).requires_grad_() for name, each in values.items()}
-        colors = SrbfTensors(
-            begun.variant,
-            base=leaves["base"],
-            scales=torch.from_numpy(begun.scales[rows]),
-            offsets=torch.from_numpy(offsets),
-            functions=torch.from_numpy(begun.functions[terms].astype(np.int64)),
-            centers=leaves["centers"],
-            decays=_grow(torch.from_numpy(begun.decays[terms]), leaves["growth"][:, 0]),
-            intensities=leaves["intensities"],
-        )
-        return _Part(rows, terms, colors, leaves)
+        starts = np.concatenate([np.zeros(1, np.int64), np.cumsum(begun.counts[rows])])
+        terms = np.arange(starts[-1]) + np.repeat(begun.offsets[rows] - starts[:-1], np.diff(starts))
+        self._bases.catch_up(rows)
+        self._terms.catch_up(terms)
+        see = see_rgb if begun.kind.space == "rgb" else _see_by_torch
+        values = self._bases.values | self._terms.values
+        return see(begun, values, RowsOfView(rows, terms, starts), self._means, eye)
 
-    def step(self, part: _Part) -> None:
-        """Take one step along the gradients of a part."""
-        gradients = {}
-        for name, leaf in part.leaves.items():
-            gradients[name] = np.zeros(leaf.shape, np.float32) if leaf.grad is None else leaf.grad.numpy()
-        self._bases.step(part.rows, gradients)
-        self._terms.step(part.terms, gradients)
+    def step(self, seen: SeenColors, by_colors: NDArray[np.float32]) -> None:
+        """Take one step along the gradient (M, 3) of a loss by the colors that were seen."""
+        gradients = seen.gradients(by_colors)
+        self._bases.step(seen.rows.gaussians, gradients)
+        self._terms.step(seen.rows.terms, gradients)
 
     def finish(self) -> SrbfColors:
         """Return the colors; what never changed is the same to the bit."""
@@ -252,6 +227,33 @@ class _Student:
             decays=decays,
             intensities=self._terms.values["intensities"],
         )
+
+
+def _see_by_torch(
+    begun: SrbfColors, values: LearnedValues, rows: RowsOfView, means: NDArray[np.float32], eye: NDArray[np.float64]
+) -> SeenColors:
+    """Evaluate colors of any variant, by torch."""
+    leaves = {"base": torch.from_numpy(values["base"][rows.gaussians]).requires_grad_()}
+    for name in ("centers", "growth", "intensities"):
+        leaves[name] = torch.from_numpy(values[name][rows.terms]).requires_grad_()
+    own = SrbfTensors(
+        begun.variant,
+        base=leaves["base"],
+        scales=torch.from_numpy(begun.scales[rows.gaussians]),
+        offsets=torch.from_numpy(rows.starts),
+        functions=torch.from_numpy(begun.functions[rows.terms].astype(np.int64)),
+        centers=leaves["centers"],
+        decays=_grow(torch.from_numpy(begun.decays[rows.terms]), leaves["growth"][:, 0]),
+        intensities=leaves["intensities"],
+    )
+    drawn = evaluate_torch(own, torch.from_numpy(means[rows.gaussians]), eye)
+
+    def gradients(by_colors: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+        """Return the gradients."""
+        found = torch.autograd.grad(drawn, list(leaves.values()), torch.from_numpy(by_colors))
+        return {name: each.numpy() for name, each in zip(leaves, found, strict=True)}
+
+    return SeenColors(rows, drawn.detach().numpy(), gradients)
 
 
 def _grow(decays: Tensor, growth: Tensor) -> Tensor:

@@ -36,7 +36,7 @@ class LazyAdam:
         steps: Maximum number of steps.
 
     Attributes:
-        values: The arrays. Rows that were not read since their last step are not up to date until `finish`.
+        values: The arrays. Rows that missed steps are not up to date until `catch_up` or `finish`.
         step_count: Steps taken.
     """
 
@@ -55,14 +55,14 @@ class LazyAdam:
 
     def read(self, rows: I64) -> dict[str, F32]:
         """Return the values (M, K) of some different rows (M,) by name, up to date."""
-        self._catch_up(rows)
+        self.catch_up(rows)
         return {name: each[rows] for name, each in self.values.items()}
 
     def step(self, rows: I64, gradients: Mapping[str, F32]) -> None:
         """Take one step. The gradients of rows that are not named are 0.
 
         Args:
-            rows: (M,) different rows, read since the last step.
+            rows: (M,) different rows, up to date.
             gradients: (M, K) by name.
         """
         self.step_count += 1
@@ -88,10 +88,10 @@ class LazyAdam:
 
     def finish(self) -> None:
         """Bring all rows up to date."""
-        self._catch_up(np.arange(len(self._last)))
+        self.catch_up(np.arange(len(self._last)))
 
-    def _catch_up(self, rows: I64) -> None:
-        """Take the missed steps of some rows."""
+    def catch_up(self, rows: I64) -> None:
+        """Take the missed steps of some different rows (M,)."""
         now = self.step_count
         for name, each in self.values.items():
             catch_up_rows(
