@@ -74,6 +74,7 @@ FAMILIES = ("row", "part", "terms", "first", "glance", "sets")
 _BEFORE = ("cells", "records", "blocks", "harmonics", "replaced")  # files of versions 2 and 3
 _OURS = re.compile(rf"(?:{'|'.join((*FILES, *FAMILIES, *_BEFORE))})-[0-9a-f]{{16}}(?:-\d+)?\.bin")
 _FIRST = 1.0  # most bytes of the files of first views, over those of the parts
+_SMALL = 1 << 20  # bytes that glances may have in any case, as long as they have no more than the parts
 _MOST_JSON = 16 << 20
 
 
@@ -108,7 +109,7 @@ class StaticOptions:
         most_first: Bytes that the file of a first view may have, even where all of them then have more bytes than the
             parts: of a small scene a view needs most.
         most_glances: Bytes that the files of all cells and directions may have together, over those of the parts; 0
-            for none.
+            for none. Of a small scene they may have as many as the parts, up to 1 MiB.
         most_sets: Most sets of higher SH coefficients that the Gaussians of a bare scene share; None gives each its
             own, which is exact to the byte, takes no time, and many times the bytes.
 
@@ -331,7 +332,7 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
         seen = SeenSpheres(g.means, spheres, lights.grid.cell_size)
         of_parts = sum(map(len, pieces["part"]))
         first = FirstViews(lights, g, worth, coder, placing)
-        if most := glance_bytes(len(lights), int(options.most_glances * of_parts)):
+        if most := glance_bytes(len(lights), _bytes_for_glances(options, of_parts)):
             looks = Glances.from_up(first, options.up or info.up, most)
         cells = rows_of_package(lights, worth, placing.part_of, seen, looks, progress)
         meters = info.meters_per_unit if options.meters_per_unit is None else options.meters_per_unit
@@ -344,6 +345,12 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
         if looks is not None:
             pieces["glance"] = list(cells.glances)
     return _Content(coder, parts, cells, files, pieces, spheres, known, None if looks is None else looks.as_dict())
+
+
+def _bytes_for_glances(options: StaticOptions, of_parts: int) -> int:
+    """Return the bytes that glances may have together beside parts of `of_parts` bytes."""
+    small = min(of_parts, _SMALL) if options.most_glances else 0
+    return max(int(options.most_glances * of_parts), small)
 
 
 def _standing(pose: Start, floor: dict[str, Any]) -> Start:

@@ -171,6 +171,7 @@ def test_a_part_that_is_gone_or_cut_is_named_and_the_rest_is_drawn(browser: Any,
         say(page, part.name)
         wait(page, DRAWN)
         assert page.locator(".card").is_hidden()
+        assert "All that can be seen" not in page.inner_text("body")
 
 
 def test_a_view_out_of_sight_says_so_and_leads_back(browser: Any, site: Path) -> None:

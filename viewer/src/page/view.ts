@@ -307,7 +307,7 @@ export class ViewPage {
       this.#notices.say(text("say.missing", { reason: String(state.message) }));
     }
     if (state.kind === "complete") void this.#focus();
-    if (state.kind === "complete") this.#speak(text("say.complete"));
+    if (state.kind === "complete" && !("message" in state && state.message)) this.#speak(text("say.complete"));
     this.#look();
   }
 
