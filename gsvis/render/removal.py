@@ -8,6 +8,7 @@ that of removing one Gaussian while all others stay. Effects do not add up for G
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,7 @@ def removal_effects(
     colors: Colors = None,
     background: ArrayLike = (0.0, 0.0, 0.0),
     presence: ArrayLike | None = None,
+    shown: NDArray[np.bool_] | None = None,
     progress: Progress = silent,
 ) -> RemovalEffects:
     """Return the effect of removing each Gaussian, alone, on the images of some cameras.
@@ -72,6 +74,7 @@ def removal_effects(
         presence: (N,) in [0, 1], factor on the alpha of each Gaussian while the effects of others are computed: 0 for
             an absent Gaussian, a value between for one that may or may not stay. The effect of a Gaussian always
             compares none of it with all of it. None for 1.
+        shown: (N,) bool; the others are not there, as if they were not given. None for all.
         progress: Called with stage "removal", in views.
 
     Returns:
@@ -94,12 +97,15 @@ def removal_effects(
     if presence is not None:
         there = _check.floats("presence", presence, (len(gaussians),))
         _check.in_range("presence", there, 0.0, 1.0)
+    if shown is not None and (shown.dtype != bool or shown.shape != (len(gaussians),)):
+        raise ValueError(f"shown: expected bool of shape ({len(gaussians)},), got {shown.dtype} of {shown.shape}")
+    scene = _arrays_of(gaussians, shown)
     color_of = camera_colors(colors, gaussians.means, cameras)
     sums = np.zeros((len(gaussians), 3))
     progress("removal", 0, len(cameras))
     for c in range(len(cameras)):
         view = View.from_matrices(cameras.viewmats[c], cameras.Ks[c], cameras.width, cameras.height)
-        projected = project(gaussians, view, antialiased=gaussians.facts.antialiased, pairs=True)
+        projected = project(scene, view, antialiased=gaussians.facts.antialiased, pairs=True)
         features = color_splats(gaussians, projected, view, gaussians.sh_degree, color_of(c))
         features[:, 3] = there[projected.ids]
         residual = np.zeros(shape[1:], np.float32)
@@ -122,6 +128,12 @@ def removal_effects(
     sums /= 3.0
     absolute, squared, error_change = (np.ascontiguousarray(column) for column in sums.T)
     return RemovalEffects(absolute, squared, error_change, len(cameras) * cameras.height * cameras.width)
+
+
+def _arrays_of(g: Gaussians, shown: NDArray[np.bool_] | None) -> Any:
+    """Return the arrays that are projected; what is not shown has no opacity, which costs less than a selection."""
+    opacities = g.opacities if shown is None else np.where(shown, g.opacities, np.float32(0.0))
+    return SimpleNamespace(means=g.means, quats=g.quats, scales=g.scales, opacities=opacities, sh0=g.sh0)
 
 
 def _blend(view: View, projected: Projected, features: F32, background: F32) -> F32:

@@ -195,33 +195,25 @@ class _State:
         self.stand_ins = stand_ins
         self.seen = _seen(len(g), cameras, sight)
         self._left = g if len(kept) == len(g) else g[kept]
+        self._drawn = self._left if stand_ins is None else Gaussians.concatenate([self._left, stand_ins.gaussians])
 
     def look(self, batch: NDArray[np.int64], count: int) -> None:
         """Measure by some cameras, with each Gaussian present by its probability to be among `count`."""
         chances = stay_chances(self._worth(), count / len(self.kept))
         there = None if self.stand_ins is None else self.stand_ins.presence(self.kept, chances)
         self.sums *= _OLD
+        presence = chances if there is None else np.concatenate([chances, there])
         for index in batch:
             camera = self.cameras[[index]]
-            if self.sight is None:
-                self.sums += self._effects(camera, self._left, chances, there)
-                continue
-            near = np.flatnonzero(self.sight.of(camera)[self.kept])
-            self.sums[near] += self._effects(camera, self._left[near], chances[near], there)
+            found = removal_effects(self._drawn, camera, presence=presence, shown=self._shown_by(camera))
+            self.sums += found.squared[: len(self.kept)]
 
-    def _effects(
-        self, camera: Cameras, some: Gaussians, chances: NDArray[np.float32], there: NDArray[np.float32] | None
-    ) -> F64:
-        """Return the squared changes (S,) of one image by removing each of some Gaussians.
-
-        `there` is the presence of all stand-ins.
-        """
-        if self.stand_ins is None or there is None:
-            return removal_effects(some, camera, presence=chances).squared
-        beside = self.stand_ins.seen_by(camera)
-        both = Gaussians.concatenate([some, self.stand_ins.gaussians[beside]])
-        presence = np.concatenate([chances, there[beside]])
-        return removal_effects(both, camera, presence=presence).squared[: len(some)]
+    def _shown_by(self, camera: Cameras) -> Mask | None:
+        """Return the Gaussians to draw that one camera may see; None for all."""
+        if self.sight is None:
+            return None
+        own = self.sight.of(camera)[self.kept]
+        return own if self.stand_ins is None else np.concatenate([own, self.stand_ins.shown_by(camera)])
 
     def _worth(self) -> F64:
         """Return the worth (K,) of each: between its mean loss over all cameras and over those that see it."""
@@ -232,7 +224,7 @@ class _State:
         stays = most_important(self._left, self._worth(), count)
         gone = self.kept[~stays]
         self.kept, self.sums = self.kept[stays], _BEFORE * self.sums[stays]
-        self._left = self.scene[self.kept]
+        self._drawn = self._left = self.scene[self.kept]
         self.stand_ins = None
         return gone
 

@@ -7,6 +7,7 @@ World frame, scene units; the result does not depend on the unit. Nothing here r
 from __future__ import annotations
 
 import numpy as np
+from numba import get_num_threads
 from numpy.typing import NDArray
 
 from gsvis.scene.gaussians import Gaussians
@@ -62,7 +63,7 @@ def _group(g: Gaussians, most: int) -> NDArray[np.int64]:
 
     n = len(g)
     means = np.ascontiguousarray(g.means, np.float64)
-    near = cKDTree(means).query(means, k=min(_NEAR + 1, n))[1].reshape(n, -1)
+    near = cKDTree(means).query(means, k=min(_NEAR + 1, n), workers=get_num_threads())[1].reshape(n, -1)
     weights = np.maximum(g.opacities * mean_shadows(g.scales.astype(np.float64)), 1e-300)
     best = np.empty((n, _CANDIDATES), np.int64)
     prices = np.empty((n, _CANDIDATES))

@@ -53,6 +53,6 @@ class StandIns:
         staying = np.bincount(self.groups[kept], chances.astype(np.float64), minlength=len(self._sizes))
         return np.clip(1.0 - staying / self._sizes, 0.0, 1.0).astype(np.float32)
 
-    def seen_by(self, camera: Cameras) -> NDArray[np.int64]:
-        """Return the indices of the stand-ins that one camera may see."""
-        return np.arange(len(self.gaussians)) if self.sight is None else np.flatnonzero(self.sight.of(camera))
+    def shown_by(self, camera: Cameras) -> NDArray[np.bool_]:
+        """Return a mask (M,) of the stand-ins that one camera may see."""
+        return np.ones(len(self.gaussians), bool) if self.sight is None else self.sight.of(camera)

@@ -167,3 +167,15 @@ def test_refusals() -> None:
         removal_effects(g, cameras, images=np.full((2, 30, 40, 3), np.nan, np.float32))
     with pytest.raises(ValueError, match=r"^background: "):
         removal_effects(g, cameras, background=(0.0, 0.0))
+
+
+def test_what_is_not_shown_is_as_if_not_given() -> None:
+    g = scene("blobs", n=60)
+    shown = np.arange(60) % 3 > 0
+    masked = removal_effects(g, views(), shown=shown)
+    selected = removal_effects(g[shown], views())
+    for name in NAMES:
+        assert np.array_equal(getattr(masked, name)[shown], getattr(selected, name))
+        assert not getattr(masked, name)[~shown].any()
+    with pytest.raises(ValueError, match="shown: expected bool"):
+        removal_effects(g, views(), shown=shown[:5])
