@@ -67,20 +67,19 @@ def measure_levels(
     scene = np.empty((len(levels), count))
     photo = np.empty((len(levels), count)) if photographs else None
     brightness = np.zeros(len(levels))
-    stands = [levels.level(k) for k in range(len(levels))]
     progress("measure", 0, count * len(levels))
-    for c in range(count):
-        images = []
-        for k, gaussians in enumerate(stands):
+    images: list[NDArray[np.float32]] = []  # of the highest level, which is measured first
+    for place, k in enumerate(reversed(range(len(levels)))):
+        gaussians = levels.level(k)  # one at a time: each is a copy
+        for c in range(count):
             drawn = display_image(gaussians, views.cameras[c], backend)
-            images.append(drawn)
             brightness[k] += float(drawn.mean(dtype=np.float64)) / count
-            progress("measure", c * len(levels) + k + 1, count * len(levels))
-        taken = np.clip(views.image(c), 0.0, 1.0)
-        for k, drawn in enumerate(images):
-            scene[k, c] = min(float(psnr(drawn, images[top])), MOST_PSNR)
+            if k == top:
+                images.append(drawn)
+            scene[k, c] = min(float(psnr(drawn, images[c])), MOST_PSNR)
             if photo is not None:
-                photo[k, c] = min(float(psnr(drawn, taken)), MOST_PSNR)
+                photo[k, c] = min(float(psnr(drawn, np.clip(views.image(c), 0.0, 1.0))), MOST_PSNR)
+            progress("measure", place * count + c + 1, count * len(levels))
     return LevelQuality(scene, photo, brightness)
 
 
@@ -103,19 +102,26 @@ def judge_levels(
         views: Number, size, field of view and seed of the judge's views.
         space: Navigable space of `mine`; None for photos.
         backend: Backend of the rasterizer.
-        progress: Called with stage "judge", in views.
+        progress: Called with stage "judge", in views of all levels.
     """
     top = levels.level(len(levels) - 1)
     judges = find_judges(top, views, None if space is None else space.witnesses)
-    stands = [levels.level(k) for k in range(len(levels) - 1)]
-    total = len(mine) + len(judges)
-    found = np.empty((len(stands), total))
+    cameras = [each[c] for each in (mine, judges.cameras) for c in range(len(each))]
+    below = len(levels) - 1
+    total = len(cameras) * (below + 1)
+    found = np.empty((below, len(cameras)))
     progress("judge", 0, total)
-    for number, camera in enumerate(each[c] for each in (mine, judges.cameras) for c in range(len(each))):
-        whole = display_image(top, camera, backend)
-        for k, gaussians in enumerate(stands):
-            found[k, number] = min(float(psnr(display_image(gaussians, camera, backend), whole)), MOST_PSNR)
-        progress("judge", number + 1, total)
+    whole = []
+    for camera in cameras:
+        whole.append(display_image(top, camera, backend))
+        progress("judge", len(whole), total)
+    del top
+    for k in range(below):
+        gaussians = levels.level(k)  # one at a time: each is a copy
+        for number, camera in enumerate(cameras):
+            drawn = display_image(gaussians, camera, backend)
+            found[k, number] = min(float(psnr(drawn, whole[number])), MOST_PSNR)
+            progress("judge", (k + 1) * len(cameras) + number + 1, total)
     inside = None
     if space is not None and len(judges):
         inside = np.asarray(CellGrid.over(space).cell_at(judges.cameras.viewpoints) >= 0)
