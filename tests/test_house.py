@@ -8,9 +8,10 @@ gets shorter.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "gsvis"
@@ -40,21 +41,35 @@ Quality, SceneReport: results that users read one by one; the names are those in
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
-def functions_of(path: Path) -> Iterator[Function]:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            yield node
+class Facts(NamedTuple):
+    """What is measured in the modules of the package, each found by reading every module once.
+
+    Attributes:
+        functions: Names, lines and parameters of all functions outside kernels.
+        objects: Names of all classes, and their numbers of attributes.
+        packed: Places of statements that assign several values at once.
+    """
+
+    functions: list[tuple[str, int, int]]
+    objects: list[tuple[str, int]]
+    packed: list[str]
 
 
 @cache
-def outside_kernels() -> tuple[tuple[str, int, int], ...]:
-    """Names, lines and parameters of all functions outside kernels."""
-    return tuple(
-        (f"{path.relative_to(PACKAGE)}:{function.name}", count_lines(function), count_parameters(function))
-        for path in sorted(PACKAGE.rglob("*.py"))
-        if "_kernels" not in path.parts
-        for function in functions_of(path)
-    )
+def facts() -> Facts:
+    found = Facts([], [], [])
+    for path in sorted(PACKAGE.rglob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        lines = source.splitlines()
+        name = path.relative_to(PACKAGE)
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.ClassDef):
+                found.objects.append((f"{name}:{node.name}", len(attributes_of(node))))
+            elif isinstance(node, Function) and "_kernels" not in path.parts:
+                found.functions.append((f"{name}:{node.name}", count_lines(node), count_parameters(node)))
+            elif is_packed(node) and not any(mark in lines[node.end_lineno - 1] for mark in ("# fmt: skip", "# type:")):
+                found.packed.append(f"{name}:{node.lineno}")
+    return found
 
 
 def count_lines(function: Function) -> int:
@@ -80,13 +95,13 @@ def test_no_file_is_longer_than_600_lines() -> None:
 
 
 def test_no_function_outside_kernels_is_longer_than_60_lines() -> None:
-    lines = {name: lines for name, lines, _ in outside_kernels()}
+    lines = {name: lines for name, lines, _ in facts().functions}
     assert len(lines) > 1000
     assert {name: count for name, count in lines.items() if count > MOST_LINES_OF_FUNCTION} == {}
 
 
 def test_no_function_outside_kernels_takes_more_than_8_parameters() -> None:
-    counts = {name: count for name, _, count in outside_kernels()}
+    counts = {name: count for name, _, count in facts().functions}
     assert {name: count for name, count in counts.items() if count > MOST_PARAMETERS} == {}
 
 
@@ -105,12 +120,7 @@ def attributes_of(node: ast.ClassDef) -> set[str]:
 
 
 def test_an_object_has_at_most_15_attributes() -> None:
-    counts = {
-        f"{path.relative_to(PACKAGE)}:{node.name}": len(attributes_of(node))
-        for path in sorted(PACKAGE.rglob("*.py"))
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.ClassDef)
-    }
+    counts = dict(facts().objects)
     assert len(counts) > 300
     large = {name: count for name, count in counts.items() if count > MOST_ATTRIBUTES}
     assert {name: count for name, count in large.items() if count > LARGE_OBJECTS.get(name, MOST_ATTRIBUTES)} == {}
@@ -137,14 +147,7 @@ def is_packed(node: ast.AST) -> bool:
 
 
 def test_one_statement_assigns_one_value() -> None:
-    found = []
-    for path in sorted(PACKAGE.rglob("*.py")):
-        source = path.read_text(encoding="utf-8")
-        lines = source.splitlines()
-        for node in ast.walk(ast.parse(source)):
-            if is_packed(node) and not any(mark in lines[node.end_lineno - 1] for mark in ("# fmt: skip", "# type:")):
-                found.append(f"{path.relative_to(PACKAGE)}:{node.lineno}")
-    assert found == []
+    assert facts().packed == []
 
 
 def test_a_swap_is_no_packed_assignment() -> None:
