@@ -8,6 +8,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Generator, Iterator
+from multiprocessing import get_all_start_methods, get_context
 from pathlib import Path
 from typing import Any
 
@@ -54,20 +55,41 @@ def realdata() -> Path:
 
 
 @pytest.fixture(scope="session")
-def real_space(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Any], Any]:
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that all workers share, for `tests.made_once` and spaces of real scenes."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shared"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def real_space(shared_folder: Path) -> Callable[[Any], Any]:
     """A function that returns the navigable space of a real scene, found once for all workers: it takes seconds."""
     from gsvis.scene.navigable import NavigableSpace
     from tests.known_spaces import remember_spaces
 
-    own = tmp_path_factory.getbasetemp()
-    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "real-spaces"
-    folder.mkdir(exist_ok=True)
-
     def find(g: Any) -> Any:
-        with remember_spaces(folder):
+        with remember_spaces(shared_folder):
             return NavigableSpace.from_scene(g)
 
     return find
+
+
+@pytest.fixture(scope="session")
+def warm_processes() -> Iterator[None]:
+    """Fork the processes of pools from one that has imported what they need and started no thread.
+
+    To import it anew is most of what they cost here; `tests/cli/test_pvs.py` has pools as they are.
+    """
+    if "forkserver" not in get_all_start_methods():  # Windows
+        yield
+        return
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["gsvis.jobs.processes", "gsvis.pvs._tasks", "gsvis.pvs.build", "gsvis.world.build"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gsvis.jobs.processes.get_context", lambda method: context)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.stated import stated_space
 
-__all__ = ["coarse_spaces", "remember_spaces"]
+__all__ = ["coarse_spaces", "fine_spaces", "remember_spaces"]
 
 _MOST = 256  # four for a scene
 _from_scene = NavigableSpace.from_scene
@@ -71,6 +71,14 @@ def coarse_spaces(most: int = 64) -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(NavigableSpace, "from_scene", staticmethod(coarser))
+        yield
+
+
+@contextmanager
+def fine_spaces() -> Iterator[None]:
+    """Let `NavigableSpace.from_scene` find what a process finds that a test starts."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(NavigableSpace, "from_scene", staticmethod(_from_scene))
         yield
 
 

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 
 import pytest
-from tyro import _docstrings
 
 from gsvis.cli import terminal
-from tests.known_spaces import remember_spaces
+from tests.known_parsers import remember_parsers
+from tests.known_spaces import coarse_spaces, remember_spaces
 from tests.quick_reports import draw_no_places, take_few_judges
 
 
 @pytest.fixture(scope="session", autouse=True)
-def known_docstrings() -> Iterator[None]:
-    """Read what sources say of options once: tyro reads them anew for each command, a quarter of its time."""
-    with pytest.MonkeyPatch.context() as patch:
-        read = _docstrings.get_class_tokenization_with_field
-        patch.setattr(_docstrings, "get_class_tokenization_with_field", cache(read))
+def known_parsers() -> Iterator[None]:
+    """Build the parser of each command once."""
+    with remember_parsers():
         yield
 
 
@@ -42,6 +39,6 @@ def few_judges(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def known_spaces() -> Iterator[None]:
-    """Find the navigable space of a scene once; a module that needs it found anew has a fixture of this name."""
-    with remember_spaces():
+    """Find the navigable space of a scene once, among few voxels; a module that needs others has its own fixture."""
+    with remember_spaces(), coarse_spaces():
         yield

@@ -126,11 +126,11 @@ def test_the_space_may_be_a_box(ply: Path, tmp_path: Path, capsys: Capture) -> N
     assert sized["grid"]["cell_size"] == pytest.approx(1.5, rel=0.05)
 
 
-def test_the_space_may_lie_along_a_path(tmp_path: Path, capsys: Capture) -> None:
+def test_the_space_may_lie_along_a_path(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     line = np.linspace((1.0, 2.0, 1.5), (3.0, 2.0, 1.5), 20)
     still = np.tile([1.0, 0.0, 0.0, 0.0], (20, 1))
     write_poses(HeadPath(np.arange(20) / 10, line, still), tmp_path / "walk.csv")
-    words = ["builtin:two_rooms", "-o", tmp_path / "walk.pvs", "--path", tmp_path / "walk.csv", *QUICK]
+    words = [ply, "-o", tmp_path / "walk.pvs", "--path", tmp_path / "walk.csv", *QUICK]
     found = document(capsys, *words, "--margin", "0.3")
     assert found["space"]["volume"] < 3.0
     with VisibilityStore.open(tmp_path / "walk.pvs") as store:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,9 +23,17 @@ from gsvis.scene.gaussians import Gaussians, rotations_from_quats
 from gsvis.scene.place import Place
 from gsvis.scene.procedural import two_rooms
 from gsvis.scene.source import Source
+from tests.known_spaces import remember_spaces
 from tests.scene.places import apartment
 
 UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def known_spaces() -> Iterator[None]:
+    """Find spaces as they are found for a visitor: in coarse ones a ball has no outside."""
+    with remember_spaces():
+        yield
 
 
 def test_a_visit_of_rooms_begins_within_them_upright(monkeypatch: pytest.MonkeyPatch) -> None:

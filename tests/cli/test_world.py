@@ -17,6 +17,7 @@ from gsvis.cli import main
 from gsvis.package.made_from import candidates_of, made_from_of
 from gsvis.world import World
 from tests.few_views import take_few_views
+from tests.known_spaces import fine_spaces
 from tests.world import cities
 
 SMALL = ["--levels", "none", "--tile", "2500", "--cells", "1", "--face-size", "24", "--limit", "0.05", "--workers", "1"]
@@ -130,7 +131,8 @@ def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bytes(scene: st
         return subprocess.Popen([sys.executable, *words], cwd=Path(__file__).parents[2], **quiet)
 
     whole, killed = tmp_path / "whole.gsworld", tmp_path / "killed.gsworld"
-    assert main(["world", scene, "-o", str(whole), *SMALL]) == 0
+    with fine_spaces():
+        assert main(["world", scene, "-o", str(whole), *SMALL]) == 0
     notes = tmp_path / "killed.gsworld.work" / "notes"
     for wanted in (2, 12):  # kill when so many tasks are finished
         process = start(killed)

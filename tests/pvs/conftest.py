@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from multiprocessing import get_all_start_methods, get_context
-
 import pytest
 
 from gsvis.pvs.build import build_pvs
@@ -14,20 +11,9 @@ from gsvis.scene.procedural import two_rooms
 from tests.pvs.jobs import CONFIG, Job
 
 
-@pytest.fixture(scope="session", autouse=True)
-def warm_processes() -> Iterator[None]:
-    """Fork the processes of pools from one that has imported what they need and started no thread.
-
-    To import it anew is most of what they cost here; `tests/cli/test_pvs.py` has pools as they are.
-    """
-    if "forkserver" not in get_all_start_methods():  # Windows
-        yield
-        return
-    context = get_context("forkserver")
-    context.set_forkserver_preload(["gsvis.jobs.processes", "gsvis.pvs._tasks", "gsvis.pvs.build"])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gsvis.jobs.processes.get_context", lambda method: context)
-        yield
+@pytest.fixture(scope="module", autouse=True)
+def pools(warm_processes: None) -> None:
+    """Fork the processes of pools from a warm one, in all tests of builds."""
 
 
 @pytest.fixture(scope="session")

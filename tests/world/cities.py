@@ -16,7 +16,7 @@ from gsvis.world.config import WorldConfig
 from gsvis.world.prepare import prepare_world
 from gsvis.world.tiling import TilingConfig
 
-__all__ = ["config", "content", "street", "write", "write_city"]
+__all__ = ["config", "content", "street", "write", "write_city", "write_long_city"]
 
 
 def street() -> Gaussians:
@@ -39,12 +39,16 @@ def write(g: Gaussians, path: Path) -> tuple[str, None]:
     return str(path), None
 
 
-def write_city(world: Path) -> Path:
-    """Prepare a long world of two levels with districts that are seen; what lies outside has one level."""
+def write_city(folder: Path) -> None:
+    """Write the street and a world of it, with the options of `config`."""
+    prepare_world([write(street(), folder / "street.ply")], folder / "city.gsworld", config())
+
+
+def write_long_city(folder: Path) -> None:
+    """Write a long world of two levels with districts that are seen; what lies outside has one level."""
     levels = LevelsConfig((0.3,), (0.8,), ("low", "high"), iterations=2, preview=0.0)
-    scene = write(small_street(houses=4, step=0.5, flyaways=12), world.with_name("street.ply"))
-    prepare_world([scene], world, replace(config(levels, most=400), angle=0.8))
-    return world
+    scene = write(small_street(houses=4, step=0.5, flyaways=12), folder / "street.ply")
+    prepare_world([scene], folder / "city.gsworld", replace(config(levels, most=400), angle=0.8))
 
 
 def content(folder: Path) -> dict[str, bytes]:

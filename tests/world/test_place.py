@@ -23,16 +23,17 @@ from gsvis.world.manifest import WORLD
 from gsvis.world.place import open_place
 from gsvis.world.prepare import prepare_world
 from gsvis.world.streamed import WorldSource
+from tests.made_once import make_once
 from tests.simulate.streets import QUICK
-from tests.world.cities import config, write, write_city
+from tests.world.cities import config, write, write_long_city
 
 ALONG = np.array([0.5, -0.5, 0.5, -0.5])  # looks along x, z up
 FAST = Link(BandwidthTrace.constant(20.0), 0.02)
 
 
 @pytest.fixture(scope="module")
-def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_city(tmp_path_factory.mktemp("leveled") / "city.gsworld")
+def city(shared_folder: Path) -> Path:
+    return make_once(shared_folder, "long-city", write_long_city) / "city.gsworld"
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +117,7 @@ def test_a_walk_in_cells_stays_and_another_is_brought_into_them(city: Path) -> N
     walk = walk_along(city)
     assert open_place(city, walk).space is None
     away = HeadPath(walk.times, walk.positions + 1000.0, walk.quats, walk.up)
-    places = [open_place(city, away, seed=seed) for seed in (0, 1, 2, 3)]
+    places = [open_place(city, away, seed=seed) for seed in (0, 1)]
     for place in places:
         found = visit(place, away)
         assert place.space is not None

@@ -35,18 +35,16 @@ from gsvis.world import Tile, World
 from gsvis.world.cells import WorldSets
 from gsvis.world.prepare import prepare_world
 from gsvis.world.streamed import WorldSource, open_world
+from tests.made_once import make_once
 from tests.serve.servers import ask, until
-from tests.world.cities import config, street, write, write_city
+from tests.world.cities import config, street, write, write_city, write_long_city
 
 VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 
 
 @pytest.fixture(scope="module")
-def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("streamed")
-    scene = write(street(), folder / "street.ply")
-    prepare_world([scene], folder / "a.gsworld", config())
-    return folder / "a.gsworld"
+def city(shared_folder: Path) -> Path:
+    return make_once(shared_folder, "city", write_city) / "city.gsworld"
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +59,8 @@ def far(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def leveled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_city(tmp_path_factory.mktemp("leveled") / "d.gsworld")
+def leveled(shared_folder: Path) -> Path:
+    return make_once(shared_folder, "long-city", write_long_city) / "city.gsworld"
 
 
 @pytest.fixture(scope="module")
@@ -372,8 +370,8 @@ def test_a_world_without_a_tile_that_can_be_read_is_refused(copy: Path) -> None:
 
 def check_facts(server: Server, grid: Any, gaussians: int) -> None:
     """The floor covers the cells; a Gaussian of a tile knows its cells, one of a district is known."""
-    floor = json.loads(ask(server, "/scenes/a/floor")[2])
-    assert json.loads(ask(server, "/scenes/a/seen")[2]) is None
+    floor = json.loads(ask(server, "/scenes/city/floor")[2])
+    assert json.loads(ask(server, "/scenes/city/seen")[2]) is None
     heights = np.array([value for value in floor["heights"] if value is not None])
     steps = np.stack(np.meshgrid(np.arange(floor["columns"]), np.arange(floor["rows"])), axis=-1).reshape(-1, 2) + 0.5
     places = floor["origin"] + floor["side"] * steps @ np.array([floor["first"], floor["second"]])
@@ -382,22 +380,22 @@ def check_facts(server: Server, grid: Any, gaussians: int) -> None:
     assert len(heights)
     low, high = grid.centers[:, 2].min() - grid.sizes.max() / 2, grid.centers[:, 2].max() + grid.sizes.max() / 2
     assert low <= heights.min() <= heights.max() <= high
-    seen = [json.loads(ask(server, f"/scenes/a/why/{k}")[2]) for k in (0, 40, gaussians - 1)]
+    seen = [json.loads(ask(server, f"/scenes/city/why/{k}")[2]) for k in (0, 40, gaussians - 1)]
     assert seen[0]["cells"]["of"] >= 1
     assert any(each["cells"]["seeing"] for each in seen[:2])
     assert seen[2]["cells"] is None
-    assert ask(server, f"/scenes/a/why/{gaussians}")[0] == 404
+    assert ask(server, f"/scenes/city/why/{gaussians}")[0] == 404
 
 
 def check_files(server: Server, city: Path) -> None:
     """A copy of the world can be fetched file by file, and nothing else."""
     for path in sorted(city.rglob("*")):
         if path.is_file():
-            status, _, data = ask(server, f"/packages/a/{path.relative_to(city).as_posix()}")
+            status, _, data = ask(server, f"/packages/city/{path.relative_to(city).as_posix()}")
             assert status == 200
             assert data == path.read_bytes()
     for wrong in ("packages/../world.json", "packages/" + "0" * 64 + "/manifest.json", "beyond/x.pvs", "manifest.json"):
-        assert ask(server, f"/packages/a/{wrong}")[0] in (400, 404)
+        assert ask(server, f"/packages/city/{wrong}")[0] in (400, 404)
 
 
 def test_cells_of_a_world_hold_their_points(city: Path) -> None:
@@ -424,20 +422,20 @@ def test_a_server_streams_a_world(city: Path, tmp_path: Path) -> None:
         return client
 
     with open_scenes([city], tables=tmp_path) as scenes:
-        grid = scenes["a"].scene.index.grid
+        grid = scenes["city"].scene.index.grid
         low, high = grid.centers.min(axis=0), grid.centers.max(axis=0)
         server = Server(scenes, None, Address(port=0))
         with server.running() as url:
             client = asyncio.run(stream(url))
             assert client.receiver is not None
             assert len(client.receiver.shown()) > 1000
-            assert ask(server, "/scenes/a/cells")[0] == 404
-            check_facts(server, grid, len(scenes["a"].scene))
+            assert ask(server, "/scenes/city/cells")[0] == 404
+            check_facts(server, grid, len(scenes["city"].scene))
             check_files(server, city)
             assert b'"manifest":null' in ask(server, "/")[2]
-        until(lambda: scenes["a"].users == 0)
-        assert scenes["a"].close_unused(1e12, 1.0)
-        scenes["a"].use()
+        until(lambda: scenes["city"].users == 0)
+        assert scenes["city"].close_unused(1e12, 1.0)
+        scenes["city"].use()
 
 
 def test_a_tile_that_is_opened_ahead_answers_as_one_that_is_not(city: Path) -> None:

@@ -20,21 +20,20 @@ from gsvis.pvs.fill import read_overdraw, sample_fill_of_cells
 from gsvis.train.levels import LevelsConfig
 from gsvis.world import Tile, World, packages
 from gsvis.world.prepare import check_world_target, prepare_world
+from tests.made_once import make_once
 from tests.world import cities
 
 Scene = tuple[str, None]
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    return cities.write(cities.street(), tmp_path_factory.mktemp("scene") / "street.ply")
+def city(shared_folder: Path) -> Path:
+    return make_once(shared_folder, "city", cities.write_city) / "city.gsworld"
 
 
 @pytest.fixture(scope="module")
-def city(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("city") / "city.gsworld"
-    prepare_world([scene], path, cities.config())
-    return path
+def scene(city: Path) -> Scene:
+    return str(city.with_name("street.ply")), None
 
 
 @pytest.fixture
@@ -179,6 +178,7 @@ def test_what_is_seen_beyond_is_what_a_look_at_the_whole_street_sees(city: Path)
     assert np.median(shares) > 0.9
 
 
+@pytest.mark.usefixtures("warm_processes")
 def test_workers_and_the_order_of_scenes_change_no_byte(scene: Scene, city: Path, tmp_path: Path) -> None:
     g = cities.street()
     order = np.random.default_rng(3).permutation(len(g))
