@@ -76,8 +76,8 @@ class _Rasterize(torch.autograd.Function):
         )  # fmt: skip
         sums = np.empty((len(projected.ids), 10))
         _kernels_tiles.sum_pairs(projected.order, projected.first_pair, pairs, sums)
-        v_means, v_quats, v_scales = (np.zeros_like(a) for a in (scene.means, scene.quats, scene.scales))
-        v_opacities, v_sh0, v_shN = (np.zeros_like(a) for a in (scene.opacities, scene.sh0, scene.shN))
+        v_means, v_quats, v_scales = (_zeros_of(a) for a in (scene.means, scene.quats, scene.scales))
+        v_opacities, v_sh0, v_shN = (_zeros_of(a) for a in (scene.opacities, scene.sh0, scene.shN))
         v_means2d = np.empty((len(projected.ids), 2))
         stand = int(np.searchsorted(projected.ids, frozen))  # ids ascend
         ids = projected.ids[stand:]
@@ -114,6 +114,11 @@ class _Rasterize(torch.autograd.Function):
             for v, dtype in zip(results, ctx.dtypes, strict=True)
         ]
         return None, None, v_probe, *gradients
+
+
+def _zeros_of(values: F32) -> F32:
+    """Return zeros of the same shape; memory that nobody writes, such as that of frozen rows, is never touched."""
+    return np.zeros(values.shape, np.float32)
 
 
 def _by_centers(splats: F64, sums: F64) -> F64:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -58,7 +59,7 @@ class Parameters:
             "shN": torch.tensor(gaussians.shN),
         }
         values = {name: raw[name].to(device).requires_grad_() for name in NAMES}
-        first, second = ({name: torch.zeros_like(v, requires_grad=False) for name, v in values.items()} for _ in "12")
+        first, second = ({name: _zeros_of(v) for name, v in values.items()} for _ in "12")
         return cls(values, first, second, frozen)
 
     def __len__(self) -> int:
@@ -142,6 +143,13 @@ class Parameters:
             held = store["shN"].detach()
             store["shN"] = torch.cat([held, held.new_zeros(len(held), want - have, 3)], dim=1).contiguous()
         self.values["shN"].requires_grad_()
+
+
+def _zeros_of(value: Tensor) -> Tensor:
+    """Return zeros of the same shape; on the CPU, those of frozen rows are never touched and take no memory."""
+    if value.device.type != "cpu":
+        return torch.zeros_like(value, requires_grad=False)
+    return torch.from_numpy(np.zeros(tuple(value.shape), np.float32))
 
 
 def _adam_cpu(value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float, root: float) -> None:
