@@ -1,8 +1,8 @@
 """How much better are levels chosen by light times error than by distance, at the same budget of splats?
 
 Showroom: LOD 2 (1.5 million Gaussians), LOD 3, and LOD 3 merged to 190,000. nika: LOD 0 to 3 (300,000). Ours: the
-choice of `examples/engines/level-choice.js`, run by node on the written files, with position and direction, with `fill`
-where there is a budget, and never more splats than the engine chooses. The engine: the choice of PlayCanvas' engine
+choice of `examples/engines/level-choice.js`, run by node on the written files, with position and direction, and never
+more splats than the engine chooses. The engine: the choice of PlayCanvas' engine
 2.23 with its defaults, as its source has it (`gsplat-budget-balancer.js`, mode "target"): the coarsest level of every
 leaf, then finer levels by distance, each level three times as far as the one before, until the budget is full. Pictures
 are drawn by `rasterize` from the chosen leaves and levels, not by the engine.
@@ -61,11 +61,11 @@ const { chooseLevels, loadOrder } = await import("CHOOSER");
 const meta = JSON.parse(readFileSync(folder + "lod-meta.json", "utf8"));
 const data = readFileSync(folder + meta.gsvis.files[0]);
 const scene = new NeededLeaves(folder, meta, data.buffer.slice(data.byteOffset, data.byteOffset + data.length));
-console.log(JSON.stringify(JSON.parse(text).map(([position, forward, splats, quality]) => {
+console.log(JSON.stringify(JSON.parse(text).map(([position, forward, splats, quality, fill]) => {
   const views = [{ position, forward }];
-  const options = { fill: splats !== null, quality: quality ?? Infinity };
+  const options = { fill, quality: quality ?? Infinity };
   const { lods } = chooseLevels(scene, views, splats ?? Infinity, options);
-  return { lods: [...lods], order: loadOrder(scene, views, lods, Infinity, options) };
+  return { lods: [...lods], order: loadOrder(scene, views, lods) };
 })));
 """
 
@@ -182,27 +182,29 @@ class Eyes:
         self.cameras = cameras
 
 
-def find_eyes(space: NavigableSpace, each: int) -> list[Eyes]:
-    """Return the eyes on the walks, and as many random ones."""
+def find_eyes(space: NavigableSpace, each: int, seed: int = SEED) -> list[Eyes]:
+    """Return the eyes on the walks, and as many random ones of a seed."""
     found = list(walks(space, each))
     positions = np.concatenate([walk.positions for _, walk, _ in found])
     forwards = np.concatenate([walk.forwards for _, walk, _ in found])
     walked = Eyes("walks", positions, forwards, [cameras[k] for _, _, cameras in found for k in range(each)])
     count = len(positions)
-    cameras = space.sample_cameras(count, np.random.default_rng(SEED), width=480, height=360, fov=80.0)
+    cameras = space.sample_cameras(count, np.random.default_rng(seed), width=480, height=360, fov=80.0)
     turns = cameras.viewmats[:, :3, :3]
     middles = -np.einsum("cji,cj->ci", turns, cameras.viewmats[:, :3, 3])
     return [walked, Eyes("random", middles, turns[:, 2], [cameras[k] for k in range(count)])]
 
 
-def ask(folder: Path, eyes: Eyes, splats: Sequence[int | None], quality: float | None = None) -> list[dict[str, Any]]:
+def ask(
+    folder: Path, eyes: Eyes, splats: Sequence[int | None], quality: float | None = None, *, fill: bool = True
+) -> list[dict[str, Any]]:
     """Return what level-choice.js chooses at each eye within its number of splats, for a wanted PSNR."""
     engines = Path(__file__).resolve().parents[1] / "examples" / "engines"
     script = folder.with_name("choice.mjs")
     text = CHOICE.replace("LOADER", str(engines / "needed-leaves.js"))
     script.write_text(text.replace("CHOOSER", str(engines / "level-choice.js")))
     places = zip(eyes.positions.tolist(), eyes.forwards.tolist(), splats, strict=True)
-    asked = [[*place, quality] for place in places]
+    asked = [[*place, quality, fill] for place in places]
     command = ["node", script, f"{folder}/", json.dumps(asked)]
     found = subprocess.run(command, capture_output=True, text=True, check=True)
     return json.loads(found.stdout)

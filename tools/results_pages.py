@@ -233,6 +233,7 @@ PAGES = {
             "streamed_sog_nika",
             "level_choice",
             "level_choice_nika",
+            "level_fill",
             "level_errors",
             "level_quality",
             "tiles",

@@ -33,11 +33,11 @@ export function leafLights(scene, views, fill = false) {
   return lights;
 }
 
-/** Returns what guards a budget: the level of each leaf by distance, whether a camera looks at it, and whether its cell (or a neighboring one, for `fill`) sees it then. */
-function guardOf(scene, views, most, fill) {
+/** Returns what guards a budget: the level of each leaf by distance, whether a camera looks at it, and whether its cell sees it then. */
+function guardOf(scene, views, most) {
   const cameras = views.filter(({ weight = 1 }) => weight >= 1), looks = (leaf) => ({ position, forward = null }) => !forward || scene.ahead(leaf, position, forward) > 0;
   const ahead = scene.leaves.map((_, leaf) => cameras.filter(looks(leaf)));
-  const seen = ahead.map((some, leaf) => some.some(({ position }) => rowsOf(scene, position, fill).some(([row]) => scene.rows[row][leaf])));
+  const seen = ahead.map((some, leaf) => some.some(({ position }) => scene.rows[scene.cellAt(position)?.row ?? 0][leaf]));
   return { distance: levelsByDistance(scene, views, most), ahead: ahead.map((some) => some.length > 0), seen };
 }
 
@@ -97,36 +97,46 @@ function* takeSteps(scene, lights, budget, rules) {
  * It begins with the choice by distance for what the cameras see, and spends on light times error what that choice spends on the rest. So
  * no leaf in view is coarser than by distance. The rest gets more than its coarsest level when no step for what is seen fits. `guard: false` begins with nothing.
  * `quality` ends the choice when so many dB of PSNR are expected, against everything at its finest level.
- * `fill` spends what is left of the budget on leaves that the cell does not see: they show where its visible set misses something. */
-export function chooseLevels(scene, views, most = Infinity, { fill = false, guard = true, quality = Infinity } = {}) {
-  const guarded = guard && most < Infinity ? guardOf(scene, views, most, fill) : null;
+ * `fill` spends what is left of the budget in each phase on leaves that the cell does not see: they show where its visible set misses something.
+ * With a wanted PSNR, and without a budget, it does nothing. */
+export function chooseLevels(scene, views, most = Infinity, { fill = true, guard = true, quality = Infinity } = {}) {
+  const guarded = guard && most < Infinity ? guardOf(scene, views, most) : null;
   const lods = Int8Array.from(scene.leaves, (_, leaf) => (guarded?.seen[leaf] ? guarded.distance[leaf] : -1));
-  const lights = leafLights(scene, views, fill), sum = (of) => lods.reduce((total, lod, leaf) => total + of(leaf, lod), 0);
+  const sum = (of) => lods.reduce((total, lod, leaf) => total + of(leaf, lod), 0), lights = leafLights(scene, views);
   let splats = sum((leaf, lod) => (lod < 0 ? 0 : scene.leaves[leaf].lods[lod].count));
   let error = sum((leaf, lod) => lights[leaf] * errorOf(scene, leaf, lod));
   const enough = quality < Infinity ? 10 ** (-quality / 10) * sum((leaf) => lights[leaf]) : -Infinity;
+  const turns = fill && most < Infinity && quality === Infinity ? [lights, leafLights(scene, views, true)] : [lights];
   for (const last of guarded ? phasesOf(scene, guarded) : [() => 0]) {
-    const rules = { cost: (to, from) => to.count - (from?.count ?? 0), first: (leaf) => lods[leaf], last };
-    for (const { leaf, from, lod, paid } of takeSteps(scene, lights, most - splats, rules)) {
-      if (error <= enough) break;
-      error -= lights[leaf] * (errorOf(scene, leaf, from) - errorOf(scene, leaf, lod));
-      lods[leaf] = lod;
-      splats += paid;
+    for (const some of turns) {
+      const rules = { cost: (to, from) => to.count - (from?.count ?? 0), first: (leaf) => lods[leaf], last };
+      for (const { leaf, from, lod, paid } of takeSteps(scene, some, most - splats, rules)) {
+        if (error <= enough) break;
+        error -= lights[leaf] * (errorOf(scene, leaf, from) - errorOf(scene, leaf, lod));
+        lods[leaf] = lod;
+        splats += paid;
+      }
     }
   }
   return { lods, splats };
 }
 
-/** Returns [leaf, level] in the order to load, up to the chosen levels: most error removed per byte first, until so many bytes. */
-export function loadOrder(scene, views, lods, most = Infinity, { fill = false } = {}) {
-  const rules = { cost: (to) => to.bytes, first: () => -1, last: (leaf) => (lods[leaf] < 0 ? Infinity : lods[leaf]) };
-  const order = [...takeSteps(scene, leafLights(scene, views, fill), most, rules)].map(({ leaf, lod }) => [leaf, lod]);
-  const there = new Map(order), bytes = (leaf, lod) => scene.leaves[leaf].lods[lod].bytes;
-  let left = most - order.reduce((sum, [leaf, lod]) => sum + bytes(leaf, lod), 0);
-  lods.forEach((lod, leaf) => { // a chosen level that has no less error than a coarser one comes last
-    if (lod < 0 || there.get(leaf) === lod || bytes(leaf, lod) > left) return;
-    left -= bytes(leaf, lod);
+/** Returns [leaf, level] in the order to load, up to the chosen levels: most error removed per byte first, until so many bytes; what the cell does not see last. */
+export function loadOrder(scene, views, lods, most = Infinity) {
+  const there = new Map(), bytes = (leaf, lod) => scene.leaves[leaf].lods[lod].bytes;
+  const rules = { cost: (to) => to.bytes, first: (leaf) => there.get(leaf) ?? -1, last: (leaf) => (lods[leaf] < 0 ? Infinity : lods[leaf]) };
+  const order = [];
+  let left = most;
+  const load = (leaf, lod) => {
+    there.set(leaf, lod);
     order.push([leaf, lod]);
+    left -= bytes(leaf, lod);
+  };
+  for (const fill of [false, true]) {
+    for (const { leaf, lod } of takeSteps(scene, leafLights(scene, views, fill), left, rules)) load(leaf, lod);
+  }
+  lods.forEach((lod, leaf) => { // a chosen level that has no less error than a coarser one comes last
+    if (lod >= 0 && there.get(leaf) !== lod && bytes(leaf, lod) <= left) load(leaf, lod);
   });
   return order;
 }

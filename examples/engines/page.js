@@ -21,7 +21,7 @@ export async function runScene(canvas, player) {
     globalThis.streamed = state;
     line.textContent = queue.failed[0] ?? `${state.needed} of ${all} leaves needed here, ${state.drawn.toLocaleString("en")} Gaussians drawn`;
   };
-  const budget = Number(asked.get("splats") ?? 1e6), options = { fill: asked.has("fill"), quality: Number(asked.get("quality") ?? Infinity) };
+  const budget = Number(asked.get("splats") ?? 1e6), options = { fill: asked.has("splats"), quality: Number(asked.get("quality") ?? Infinity) };
   const queue = new LeafQueue(scene.leaves, player, { most: Number(asked.get("most") ?? 2e6), changed: say });
   const frame = (seconds) => {
     const target = walk.step(seconds), now = [...walk.position, ...walk.forward];
@@ -31,7 +31,7 @@ export async function runScene(canvas, player) {
       if (before) views.push({ position: walk.position.map((p, k) => 2 * p - before[k]), forward: walk.forward, weight: 0.25 }); // a look ahead
       before = walk.position;
       const { lods } = chooseLevels(scene, views, budget, options);
-      plan = { ...scene.plan(walk.position, walk.forward), lods, order: loadOrder(scene, views, lods, Infinity, options) };
+      plan = { ...scene.plan(walk.position, walk.forward), lods, order: loadOrder(scene, views, lods) };
       queue.follow(plan);
     }
     return target;

@@ -5,6 +5,7 @@ python -m tests.export.choosing --write     # after a change of what is chosen
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 from pathlib import Path
@@ -23,7 +24,7 @@ def power(quarters: int) -> float:
 
 
 def choose(
-    case: dict[str, Any], *, guard: bool = True, quality: float = float("inf"), fill: bool = False, turned: bool = False
+    case: dict[str, Any], *, guard: bool = True, quality: float = float("inf"), fill: bool = True, turned: bool = False
 ) -> tuple[list[int], int]:
     """Return the level of each leaf within the splats of a case, -1 for not drawn, and the splats.
 
@@ -31,24 +32,25 @@ def choose(
         case: A case.
         guard: Begin with the choice by distance for what is seen, and serve that first.
         quality: PSNR at which to end.
-        fill: Draw what the cell does not see, too.
+        fill: Spend what is left in each phase on what the cell does not see; not for a PSNR.
         turned: Look at the leaves that `ahead` names, not at all.
     """
     count = len(case["lights"])
     guarded = guard and case["splats"] < float("inf")
     ahead = [not turned or leaf in case["ahead"] for leaf in range(count)]
-    sees = [light > 0 or (fill and beside > 0) for light, beside in zip(case["lights"], case["beside"], strict=True)]
-    seen = [guarded and a and s for a, s in zip(ahead, sees, strict=True)]
+    seen = [guarded and a and light > 0 for a, light in zip(ahead, case["lights"], strict=True)]
     distance = by_distance(case, turned) if guarded else [-1] * count
     lods = [lod if s else -1 for lod, s in zip(distance, seen, strict=True)]
     splats = sum(case["counts"][leaf][lod] for leaf, lod in enumerate(lods) if lod >= 0)
-    lights = worths(case, fill, turned)
+    lights = worths(case, False, turned)
+    fills = fill and case["splats"] < float("inf") and quality == float("inf")
+    turns = [lights, worths(case, True, turned)] if fills else [lights]
     enough = 10.0 ** (-quality / 10.0) * sum(lights) if quality < float("inf") else -1.0
     coarsest = [max((lod for lod, n in enumerate(row) if n), default=-1) for row in case["counts"]]
     back = [d if a and d >= 0 else c for d, a, c in zip(distance, ahead, coarsest, strict=True)]
     phases = [[0 if s else c for s, c in zip(seen, rest, strict=True)] for rest in (coarsest, back)] if guarded else []
-    for last in [*phases, [0] * count]:
-        for leaf, lod, paid in steps(case, "counts", case["splats"] - splats, last, lods, lights):
+    for last, some in itertools.product([*phases, [0] * count], turns):
+        for leaf, lod, paid in steps(case, "counts", case["splats"] - splats, last, lods, some):
             if sum(light * error(case, k, lods[k]) for k, light in enumerate(lights)) <= enough:
                 break
             lods[leaf] = lod
@@ -96,10 +98,12 @@ def order(case: dict[str, Any], lods: list[int]) -> list[Step]:
     """Return the files in the order to load, within the bytes of a case."""
     left = case["most_bytes"]
     found: list[Step] = []
-    lights = worths(case, False, False)
-    for leaf, lod, paid in steps(case, "bytes", left, lods, [-1] * len(lods), lights):
-        found.append((leaf, lod))
-        left -= paid
+    there = [-1] * len(lods)
+    for fill in (False, True):
+        for leaf, lod, paid in steps(case, "bytes", left, lods, there, worths(case, fill, False)):
+            found.append((leaf, lod))
+            there[leaf] = lod
+            left -= paid
     for leaf, lod in enumerate(lods):  # what has no less error than a coarser level comes last
         if lod >= 0 and (leaf, lod) not in found and case["bytes"][leaf][lod] <= left:
             found.append((leaf, lod))

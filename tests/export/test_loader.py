@@ -38,7 +38,8 @@ const found = JSON.parse(readFileSync(process.argv[2], "utf8")).map((c) => {
     all: [...chooseLevels(scene, views).lods],
     plain: [...chooseLevels(scene, views, c.splats, { guard: false }).lods],
     good: [...chooseLevels(scene, views, Infinity, { quality: 30 }).lods],
-    filled: [...chooseLevels(scene, turned, c.splats, { fill: true }).lods],
+    filled: [...chooseLevels(scene, turned, c.splats).lods],
+    bare: [...chooseLevels(scene, turned, c.splats, { fill: false }).lods],
     distance: [...levelsByDistance(scene, views, c.splats)],
     lit: [false, true].map((fill) => [...leafLights(scene, turned, fill)]),
     two: [...leafLights(scene, [...views, { position: [1, 0, 0], weight: 0.5 }])],
@@ -98,7 +99,8 @@ def test_levels_are_chosen_as_the_reference_chooses(tmp_path: Path) -> None:
         assert found["all"] == choosing.choose({**case, "splats": float("inf")})[0]
         assert found["good"] == choosing.choose({**case, "splats": float("inf")}, quality=30.0)[0]
         assert found["plain"] == choosing.choose(case, guard=False)[0]
-        assert found["filled"] == choosing.choose(case, fill=True, turned=True)[0]
+        assert found["filled"] == choosing.choose(case, turned=True)[0]
+        assert found["bare"] == choosing.choose(case, fill=False, turned=True)[0]
         assert found["distance"] == choosing.by_distance(case)
         assert found["lit"] == [choosing.worths(case, fill, True) for fill in (False, True)]
         once = np.array(choosing.worths(case, False, False))
@@ -120,12 +122,22 @@ def test_more_splats_leave_less_error_and_never_pass_the_budget() -> None:
 def test_nothing_in_view_is_coarser_than_by_distance() -> None:
     for seed in range(200, 232):
         case = choosing.make_case(seed)
-        lods, _ = choosing.choose(case, fill=True, turned=True)
+        lods, _ = choosing.choose(case, turned=True)
         distances = choosing.by_distance(case, True)
-        sees = np.array(case["lights"]) + np.array(case["beside"]) > 0
+        sees = np.array(case["lights"]) > 0
         for leaf, (own, distance) in enumerate(zip(lods, distances, strict=True)):
             in_view = leaf in case["ahead"]
             assert not in_view or not sees[leaf] or distance < 0 or 0 <= own <= distance
+
+
+def test_filling_a_budget_takes_nothing_from_what_is_seen() -> None:
+    for seed in range(300, 332):
+        case = choosing.make_case(seed)
+        bare, _ = choosing.choose(case, fill=False, turned=True)
+        filled, splats = choosing.choose(case, turned=True)
+        assert splats <= case["splats"]
+        for leaf in case["ahead"]:
+            assert not case["lights"][leaf] or filled[leaf] == bare[leaf]
 
 
 def test_a_sidecar_of_another_scene_is_refused(tmp_path: Path) -> None:
