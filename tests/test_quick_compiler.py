@@ -52,3 +52,13 @@ def test_functions_of_numba_work_in_a_kernel() -> None:
         return found
 
     np.testing.assert_array_equal(largest(np.array([1.0, 3.0, 2.0]), 0.5), [3.0, 0.5])
+
+
+def test_a_numba_without_these_parts_compiles_as_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = TargetConfig.__dict__["values"]
+    monkeypatch.delattr(BaseLower, "create_cfunc_wrapper")
+    monkeypatch.setattr(TargetConfig, "values", lambda config: {"other": 1})  # says something else
+    before = TargetConfig.values
+    compile_quickly()
+    assert TargetConfig.values is before is not own
+    assert not hasattr(BaseLower, "create_cfunc_wrapper")
