@@ -18,9 +18,9 @@ INPUTS ?= 100000
 SEED ?= 1
 BIN := .venv/bin
 export PYTHON
-# One worker more than cores that this process may use: while some wait for a browser, a server or a kernel, others work.
+# Two workers more than cores that this process may use: while some wait for a browser, a server or a kernel, others work.
 CORES := $(shell nproc 2>/dev/null)
-export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(if $(CORES),$(shell expr $(CORES) + 1))
+export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(if $(CORES),$(shell expr $(CORES) + 2))
 # Threads that wait for a kernel sleep: spinning beside other work costs an example ten times its processor time.
 export OMP_WAIT_POLICY ?= passive
 export OPENBLAS_NUM_THREADS ?= 1

@@ -7,6 +7,7 @@ import gc
 import os
 import shutil
 import tempfile
+import zlib
 from collections.abc import Callable, Generator, Iterator
 from multiprocessing import get_all_start_methods, get_context
 from pathlib import Path
@@ -124,12 +125,12 @@ def blank_plots(monkeypatch: pytest.MonkeyPatch, blank: bytes) -> None:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """One worker more than cores that this process may use, or as many as PYTEST_XDIST_AUTO_NUM_WORKERS says.
+    """Two workers more than cores that this process may use, or as many as PYTEST_XDIST_AUTO_NUM_WORKERS says.
 
     While some wait for a browser, a server or a kernel that another compiles, the others work.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return int(os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS") or cores + 1)
+    return int(os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS") or cores + 2)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -156,6 +157,11 @@ def _begin_elsewhere(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the longest files: a worker must not be left alone with one at the end."""
-    places = {TESTS / name: place for place, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: (places.get(item.path, len(places)), item.path))
+    """Begin with the longest files: a worker must not be left alone with one at the end. Mix the others.
+
+    In the order of their names those that wait for a browser would run side by side, and no core would work.
+    """
+    places = {TESTS / name: (place, 0) for place, name in enumerate(LONGEST)}
+    for path in {item.path for item in items} - places.keys():
+        places[path] = (len(LONGEST), zlib.crc32(os.path.relpath(path, TESTS).encode()))
+    items.sort(key=lambda item: (places[item.path], item.path))
