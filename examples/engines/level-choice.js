@@ -33,11 +33,11 @@ export function leafLights(scene, views, fill = false) {
   return lights;
 }
 
-/** Returns what guards a budget: the level of each leaf by distance, whether a camera looks at it, and whether its cell sees it then. */
-function guardOf(scene, views, most) {
+/** Returns what guards a budget: the level of each leaf by distance, whether a camera looks at it, and whether its cell (or a neighboring one, for `fill`) sees it then. */
+function guardOf(scene, views, most, fill) {
   const cameras = views.filter(({ weight = 1 }) => weight >= 1), looks = (leaf) => ({ position, forward = null }) => !forward || scene.ahead(leaf, position, forward) > 0;
   const ahead = scene.leaves.map((_, leaf) => cameras.filter(looks(leaf)));
-  const seen = ahead.map((some, leaf) => some.some(({ position }) => scene.rows[scene.cellAt(position)?.row ?? 0][leaf]));
+  const seen = ahead.map((some, leaf) => some.some(({ position }) => rowsOf(scene, position, fill).some(([row]) => scene.rows[row][leaf])));
   return { distance: levelsByDistance(scene, views, most), ahead: ahead.map((some) => some.length > 0), seen };
 }
 
@@ -98,15 +98,16 @@ function* takeSteps(scene, lights, budget, rules) {
  * no leaf in view is coarser than by distance. The rest gets more than its coarsest level when no step for what is seen fits. `guard: false` begins with nothing.
  * `quality` ends the choice when so many dB of PSNR are expected, against everything at its finest level.
  * `fill` spends what is left of the budget in each phase on leaves that the cell does not see: they show where its visible set misses something.
- * With a wanted PSNR, and without a budget, it does nothing. */
+ * What neighboring cells see is then no coarser than by distance, either. With a wanted PSNR, and without a budget, it does nothing. */
 export function chooseLevels(scene, views, most = Infinity, { fill = true, guard = true, quality = Infinity } = {}) {
-  const guarded = guard && most < Infinity ? guardOf(scene, views, most) : null;
+  const fills = fill && most < Infinity && quality === Infinity;
+  const guarded = guard && most < Infinity ? guardOf(scene, views, most, fills) : null;
   const lods = Int8Array.from(scene.leaves, (_, leaf) => (guarded?.seen[leaf] ? guarded.distance[leaf] : -1));
   const sum = (of) => lods.reduce((total, lod, leaf) => total + of(leaf, lod), 0), lights = leafLights(scene, views);
   let splats = sum((leaf, lod) => (lod < 0 ? 0 : scene.leaves[leaf].lods[lod].count));
   let error = sum((leaf, lod) => lights[leaf] * errorOf(scene, leaf, lod));
   const enough = quality < Infinity ? 10 ** (-quality / 10) * sum((leaf) => lights[leaf]) : -Infinity;
-  const turns = fill && most < Infinity && quality === Infinity ? [lights, leafLights(scene, views, true)] : [lights];
+  const turns = fills ? [lights, leafLights(scene, views, true)] : [lights];
   for (const last of guarded ? phasesOf(scene, guarded) : [() => 0]) {
     for (const some of turns) {
       const rules = { cost: (to, from) => to.count - (from?.count ?? 0), first: (leaf) => lods[leaf], last };

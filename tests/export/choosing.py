@@ -38,12 +38,13 @@ def choose(
     count = len(case["lights"])
     guarded = guard and case["splats"] < float("inf")
     ahead = [not turned or leaf in case["ahead"] for leaf in range(count)]
-    seen = [guarded and a and light > 0 for a, light in zip(ahead, case["lights"], strict=True)]
+    fills = fill and case["splats"] < float("inf") and quality == float("inf")
+    sees = [light > 0 or (fills and beside > 0) for light, beside in zip(case["lights"], case["beside"], strict=True)]
+    seen = [guarded and a and s for a, s in zip(ahead, sees, strict=True)]
     distance = by_distance(case, turned) if guarded else [-1] * count
     lods = [lod if s else -1 for lod, s in zip(distance, seen, strict=True)]
     splats = sum(case["counts"][leaf][lod] for leaf, lod in enumerate(lods) if lod >= 0)
     lights = worths(case, False, turned)
-    fills = fill and case["splats"] < float("inf") and quality == float("inf")
     turns = [lights, worths(case, True, turned)] if fills else [lights]
     enough = 10.0 ** (-quality / 10.0) * sum(lights) if quality < float("inf") else -1.0
     coarsest = [max((lod for lod, n in enumerate(row) if n), default=-1) for row in case["counts"]]
