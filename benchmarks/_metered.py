@@ -1,18 +1,23 @@
 """Run one command of gsvis in this process, and record what each stage of its progress cost.
 
 `python _metered.py RECORD WORDS...` runs `gsvis WORDS...` and writes a list of stages as JSON: name, wall seconds,
-processor seconds of this process and of those that ended below it, and the peak of its resident memory. A stage lasts
-until the next one begins, so what runs between two stages belongs to the earlier.
+processor seconds of this process and of all below it, and the peak of their memory: resident memory of this process
+alone, or proportional memory of all while there are others, read every two seconds. A stage lasts until the next one
+begins, so what runs between two stages belongs to the earlier.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import resource
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
+
+from _memory import pss, tree
 
 from gsvis.cli import main
 from gsvis.cli.terminal import Status
@@ -20,6 +25,8 @@ from gsvis.cli.terminal import Status
 __all__ = ["Meter"]
 
 START = "start"
+_EVERY = 2.0  # seconds between readings of the memory of all processes
+_TICKS = os.sysconf("SC_CLK_TCK")  # of processor time, a second
 
 
 class Meter:
@@ -32,7 +39,9 @@ class Meter:
     def __init__(self) -> None:
         self.stages: list[dict[str, Any]] = []
         self._name = START
+        self._together = 0
         self._begin()
+        threading.Thread(target=self._follow, daemon=True).start()
 
     def enter(self, name: str) -> bool:
         """Record the stage so far and begin another one, unless it is the same; return whether it is another."""
@@ -50,19 +59,38 @@ class Meter:
             "name": self._name,
             "wall_s": round(time.perf_counter() - wall, 3),
             "cpu_s": round(_processor_seconds() - processor, 3),
-            "peak_gb": round(_peak_bytes() / 1e9, 4),
+            "peak_gb": round(max(_peak_bytes(), self._together) / 1e9, 4),
         }
         self.stages.append(record)
 
     def _begin(self) -> None:
         self._began = time.perf_counter(), _processor_seconds()
+        self._together = 0
         Path("/proc/self/clear_refs").write_text("5")  # the peak begins again
+
+    def _follow(self) -> None:
+        """Note the largest memory of all processes together, for as long as this one lives."""
+        while True:
+            processes = tree(os.getpid())
+            if len(processes) > 1:
+                self._together = max(self._together, sum(map(pss, processes)))
+            time.sleep(_EVERY)
 
 
 def _processor_seconds() -> float:
-    """Return the processor time of this process and of its ended children."""
+    """Return the processor time of this process and of all below it, those that ended too."""
     taken = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(each.ru_utime + each.ru_stime for each in taken)
+    ended = sum(each.ru_utime + each.ru_stime for each in taken)
+    return ended + sum(map(_seconds_of, tree(os.getpid())[1:]))
+
+
+def _seconds_of(pid: int) -> float:
+    """Return the processor time of a process and of its ended children; 0 for a process that is gone."""
+    try:
+        after_name = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    except OSError:
+        return 0.0
+    return sum(map(int, after_name[11:15])) / _TICKS
 
 
 def _peak_bytes() -> int:

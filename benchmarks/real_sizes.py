@@ -1,10 +1,10 @@
 """What do the commands cost on scenes of a real size: millions of Gaussians with SH of degree 3?
 
 A scene of N million Gaussians is written as a PLY: copies of one trained scene side by side, each turned, and moved a
-little Gaussian by Gaussian. Each command then runs in a process of its own with one worker, and records its stages.
+little Gaussian by Gaussian. Each command then runs with its defaults, a worker for each core, and records its stages.
 
 Given: nika LOD 0 (SH 3) without its outermost percent, as often as needed; commands with their defaults.
-Measured: processor seconds, wall seconds and peak resident memory of each stage; ratios between sizes say how the cost
+Measured: processor seconds, wall seconds and peak memory of each stage, all processes together; ratios between sizes say how the cost
     grows. The machine may be shared: processor seconds count.
 Defaults chosen on: no scene; copies of one scene are no district, and hide each other less than walls of rooms do.
 """
@@ -32,7 +32,7 @@ from gsvis.scene.gaussians import Gaussians
 SOURCE = "nika_sh3/lod-meta.json"
 MILLION = 1_000_000
 COMMANDS: dict[str, tuple[str, ...]] = {  # words after the name of the scene
-    "prepare": ("-o", "out.gsvis", "--workers", "1", "--json"),
+    "prepare": ("-o", "out.gsvis", "--json"),
     "convert": ("out.spz",),
     "clean": ("-o", "out.ply"),
     "analyze": ("-o", "out"),
