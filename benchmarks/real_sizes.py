@@ -4,8 +4,8 @@ A scene of N million Gaussians is written as a PLY: copies of one trained scene 
 little Gaussian by Gaussian. Each command then runs with its defaults, a worker for each core, and records its stages.
 
 Given: nika LOD 0 (SH 3) without its outermost percent, as often as needed; commands with their defaults.
-Measured: processor seconds, wall seconds and peak memory of each stage, all processes together; ratios between sizes say how the cost
-    grows. The machine may be shared: processor seconds count.
+Measured: processor seconds, wall seconds and peak memory of each stage, all processes together; ratios between sizes
+    say how the cost grows. The machine may be shared: processor seconds count.
 Defaults chosen on: no scene; copies of one scene are no district, and hide each other less than walls of rooms do.
 """
 
