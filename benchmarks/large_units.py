@@ -24,7 +24,7 @@ import numpy as np
 from _harness import add_arguments, write_result
 from real_sizes import MILLION, build
 
-from gsvis.color import FitConfig, fit_srbf
+from gsvis.color import FitConfig, SrbfColors, fit_srbf
 from gsvis.hpr import Splats
 from gsvis.hpr.zbuffer import look_around
 from gsvis.io.ply import load_ply
@@ -38,6 +38,7 @@ from gsvis.train.images import render_views
 
 SIZES = (128, 512, 2048)  # pixels along a side of the faces of a look
 RAYS = 4096
+FITS = 8192
 STEPS = 4
 
 
@@ -90,11 +91,19 @@ def units_of(g: Gaussians, space: NavigableSpace, count: int) -> dict[str, list[
     units[f"{RAYS:,} rays"] = [
         lambda eye=eye: tracer.contributions(np.repeat(eye[None], RAYS, axis=0), rays).weights for eye in eyes
     ]
+    units["8,192 fits"] = [lambda start=start: fit_some(g, start).base for start in range(3)]
     config = LearnConfig.for_renders(STEPS)
     units[f"{STEPS} steps of learning colors"] = [
-        lambda view=view: learn_colors(g, colors, render_views(g, view), config).decays for view in each[:3]
+        lambda view=view: learn_colors(g, colors, view, config).decays for view in each[:3]
     ]
     return units
+
+
+def fit_some(g: Gaussians, start: int) -> SrbfColors:
+    """Return the colors of 8,192 Gaussians, as if they were seen from everywhere and mattered by their size."""
+    some = g[start :: max(len(g) // FITS, 1)][:FITS]
+    size = some.opacities * np.sort(some.scales, axis=1)[:, 1:].prod(axis=1)
+    return fit_srbf(some, None, FitConfig(), importance=size.astype(np.float64)).colors
 
 
 def measure(work: list[Callable[[], Any]]) -> tuple[float, str]:

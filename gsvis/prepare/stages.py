@@ -41,7 +41,7 @@ VERSIONS = {
     "levels": 9,
     "sets": 6,
     "joined": 3,
-    "colors": 4,
+    "colors": 5,
     "epsilon": 1,
     "rounding": 1,
     "cost": 2,

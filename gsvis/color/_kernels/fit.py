@@ -26,6 +26,8 @@ __all__ = ["fit_lobes", "settle_lobes"]
 _BLOCK = 64
 _PATIENCE = 4
 """Refinements after a choice, each with more emphasis on shorter prefixes, until the error falls along them."""
+_UNPAID = 3
+"""Lobes in a row that are not worth their price, after which no more are tried."""
 
 
 @inner(fastmath=True)
@@ -160,6 +162,7 @@ def _fit_block(
         copy(rows, channels, count, left)
         emphasis = limits[5]
         narrow = price * limits[6] * weight / importance[g]
+        unpaid = 0
         for k in range(at_most):
             chosen = _choose(atoms, norms, left, channels, count)
             copy(lobe, k, 3, old_lobe)
@@ -194,7 +197,9 @@ def _fit_block(
             curves[g, k + 1 :] = mean
             wide[g, k + 1 :] = _seen_widths(w, points, intensities, k + 1, channels, padded, weight, limits[7])
             cost = importance[g] * mean + price * (k + 1 + limits[6] * wide[g, k + 1])
+            unpaid += 1
             if cost < best:
+                unpaid = 0
                 best = cost
                 counts[g] = k + 1
                 for j in range(k + 1):
@@ -203,7 +208,7 @@ def _fit_block(
                     for c in range(channels):
                         a[g, j, c] = intensities[j, c]
             spent = price * (k + 1 + limits[6] * wide[g, k + 1])
-            if best <= spent + price:  # even a perfect further term is not worth its price
+            if unpaid == _UNPAID or best <= spent + price:  # even a perfect further term is not worth its price
                 break
 
 
