@@ -29,11 +29,12 @@ def fill_of_cells(levels: Levels, store: VisibilityStore, cells: ArrayLike, *, p
     """
     numbers = np.asarray(cells, np.int64)
     top = levels.member(len(levels) - 1)
+    plain = levels.union.without_harmonics()
     found = []
     progress("fill", 0, len(numbers))
     for k, cell in enumerate(numbers.tolist()):
         ids = store.visible_ids(cell)
-        found.append(fill_around(levels.union[ids[top[ids]]], store.grid.centers[cell][None]))
+        found.append(fill_around(plain[ids[top[ids]]], store.grid.centers[cell][None]))
         progress("fill", k + 1, len(numbers))
     columns = [[getattr(each, name) for each in found] for name in ("splats", "mean", "worst", "until")]
     return Fill(*(np.concatenate(column) if column else np.zeros(0) for column in columns))
@@ -51,6 +52,7 @@ def sample_fill_of_cells(
         progress: Called with stage "fill", in cells.
     """
     top = levels.member(len(levels) - 1)
+    plain = levels.union.without_harmonics()  # a quarter of the memory to select from
     own = store.gaussians
     rows = np.zeros((len(store), 3))
     progress("fill", 0, len(store))
@@ -58,7 +60,7 @@ def sample_fill_of_cells(
         ids = store.visible_ids(cell)
         if beyond is not None:
             ids = np.concatenate([ids, own + beyond.visible_ids(cell)])
-        found = sample_fill_around(levels.union[ids[top[ids]]], store.grid.centers[cell][None])
+        found = sample_fill_around(plain[ids[top[ids]]], store.grid.centers[cell][None])
         rows[cell] = found.splats[0], found.mean[0], found.worst[0]
         progress("fill", cell + 1, len(store))
     return SampledFill(*rows.T)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.threads import in_parts
 
 __all__ = ["project", "round_jointly"]
 
@@ -41,19 +42,21 @@ def _cholesky(matrix, count):
             matrix[i, j] /= matrix[j, j]
 
 
-@kernel
-def project(offsets, functions, lobes, rounded, intensities, out):
+@in_parts(lambda offsets, *_: len(offsets) - 1)
+@kernel(error_model="numpy")
+def project(begin, end, offsets, functions, lobes, rounded, intensities, out):
     """Write the intensities (T, I) with which rounded SRBFs best match the given ones, in the mean over the sphere.
 
-    `lobes` and `rounded` are (T, 4) decay times center and decay, before and after rounding.
+    `lobes` and `rounded` are (T, 4) decay times center and decay, before and after rounding. A thread has the
+    Gaussians from `begin` to `end`; the caller leaves both out.
     """
     most = 0
-    for g in range(len(offsets) - 1):
+    for g in range(begin, end):
         most = max(most, offsets[g + 1] - offsets[g])
     channels = intensities.shape[1]
     gram = np.empty((most, most))
     change = np.empty((most, channels))
-    for g in range(len(offsets) - 1):
+    for g in range(begin, end):
         start = offsets[g]
         count = offsets[g + 1] - offsets[g]
         for j in range(count):
@@ -80,16 +83,17 @@ def project(offsets, functions, lobes, rounded, intensities, out):
                 out[start + j, c] = intensities[start + j, c] + change[j, c]
 
 
-@kernel
-def round_jointly(offsets, functions, lobes, intensities, table, middles, out):
+@in_parts(lambda offsets, *_: len(offsets) - 1)
+@kernel(error_model="numpy")
+def round_jointly(begin, end, offsets, functions, lobes, intensities, table, middles, out):
     """Write intensities as indices (T, I) into a table; each term compensates for the rounding of larger ones.
 
     The largest term of a Gaussian has the largest step and is rounded first. Its rounding error is spread over the
     following terms by least squares in the mean over the sphere. If the result is not better, each term is rounded on
-    its own.
+    its own. A thread has the Gaussians from `begin` to `end`; the caller leaves both out.
     """
     most = 0
-    for g in range(len(offsets) - 1):
+    for g in range(begin, end):
         most = max(most, offsets[g + 1] - offsets[g])
     channels = intensities.shape[1]
     gram = np.empty((most, most))
@@ -98,7 +102,7 @@ def round_jointly(offsets, functions, lobes, intensities, table, middles, out):
     alone = np.empty(most)
     places = np.empty(most, np.int64)
     order = np.empty(most, np.int64)
-    for g in range(len(offsets) - 1):
+    for g in range(begin, end):
         start = offsets[g]
         count = offsets[g + 1] - offsets[g]
         for j in range(count):  # insertion sort, ascending by size; numba's own sort takes long to compile
