@@ -91,7 +91,7 @@ def units_of(g: Gaussians, space: NavigableSpace, count: int) -> dict[str, list[
     units[f"{RAYS:,} rays"] = [
         lambda eye=eye: tracer.contributions(np.repeat(eye[None], RAYS, axis=0), rays).weights for eye in eyes
     ]
-    units["8,192 fits"] = [lambda start=start: fit_some(g, start).base for start in range(3)]
+    units["8,192 fits, with 18,432 for the price"] = [lambda start=start: fit_some(g, start).base for start in range(3)]
     config = LearnConfig.for_renders(STEPS)
     units[f"{STEPS} steps of learning colors"] = [
         lambda view=view: learn_colors(g, colors, view, config).decays for view in each[:3]

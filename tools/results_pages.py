@@ -137,6 +137,7 @@ PAGES = {
             "train_srbf",
             "learned_colors",
             "learned_colors_hsl",
+            "learned_renders",
             "train_srbf_spaces",
         ),
     ),

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "RENDERS",
+    "ColorMeasure",
     "Learned",
     "Lesson",
     "draw_lesson",
@@ -208,14 +209,14 @@ def learn_lesson(
     """
     from gsvis.train.colors import learn_colors
 
+    whole = np.ones(len(g), bool) if shown is None else shown
     learned = learn_colors(g, colors, lesson.views, lesson.config, shown=shown, progress=progress)
     about = Learned(lesson.named, len(lesson.views), asdict(lesson.config))
     if lesson.held_out is None:
         return learned, about
-    whole = np.ones(len(g), bool) if shown is None else shown
     drawn: dict[str, SrbfColors | None] = {} if lesson.named == "renders" else {"sh": None}
     drawn |= {"fitted": colors, "learned": learned}
-    measure = _Measure(g, whole, lesson.held_out)
+    measure = ColorMeasure(g, whole, lesson.held_out)
     progress("measure", 0, len(drawn))
     for done, (name, each) in enumerate(drawn.items(), 1):
         about.psnr[name] = measure.psnr_of(None if each is None else to_records(each))
@@ -225,7 +226,7 @@ def learn_lesson(
     return learned, about
 
 
-class _Measure:
+class ColorMeasure:
     """Views that measure colors.
 
     Args:
