@@ -6,8 +6,8 @@ Given: the scenes and visible sets of `level_choice.py` (--work of that benchmar
     of --seed.
 Measured: PSNR of both choices against a picture of everything at the finest level, counted up to 50 dB; splats of both,
     of the budget; 480 x 360, 80 degrees wide.
-Defaults chosen on: random eyes of seed 2033 and four or five of each walk: that what is seen comes first in each phase,
-    and that `fill` is on where nobody says so. It had its share of every step before, and cost 1.3 and 3.4 dB there.
+Defaults chosen on: random eyes of seeds 2033 and 2028 and some of each walk: that what is seen comes first in each
+    phase, and that `fill` is on where nobody says so. Unseen leaves took part in every step before: 1.3 and 3.4 dB.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
     parser.add_argument("--work", type=Path, help="folder of level_choice.py with its visible sets")
     parser.add_argument("--eyes", type=int, default=6, help="on each of the two walks; twice as many random ones")
-    parser.add_argument("--seed", type=int, default=2034, help="of the random eyes")
+    parser.add_argument("--seed", type=int, default=2037, help="of the random eyes")
     args = parser.parse_args()
     need(args.work, "--work DIR: that of level_choice.py")
     figures: list[dict[str, Any]] = []
