@@ -17,6 +17,7 @@ from gsvis.raycast import TAU, EllipsoidProxies, Tracer, visible_from
 from gsvis.scene.procedural import BUILTIN_SCENES, furnished_flat, two_rooms
 from gsvis.simulate import morton_order
 from tests.few_views import take_few_views
+from tests.known_parsers import remember_parsers
 from tests.known_spaces import coarse_spaces, remember_spaces
 from tests.quick_reports import draw_no_places, take_few_judges
 
@@ -90,6 +91,13 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) ->
 def known_spaces() -> Iterator[None]:
     """Find the space of the small scene once, among few voxels: most pages ask for it."""
     with remember_spaces(), coarse_spaces():
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def known_parsers() -> Iterator[None]:
+    """Build the parser of each command once."""
+    with remember_parsers():
         yield
 
 

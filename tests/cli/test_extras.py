@@ -136,7 +136,8 @@ def test_each_command_works_or_names_the_extra(blocked: tuple[str, ...], inputs:
             assert code == 0, (name, err)
         else:
             assert code == 2, (name, err)
-            (line,) = err.splitlines()
+            assert len(err.splitlines()) == 1, (name, err)
+            line = err.strip()
             assert line.startswith("gsvis: error: "), name
             assert line.endswith(f"expected the package {project_of(package)}, got none; {remedy_of(package)}"), name
     made = {path.name for path in tmp_path.iterdir()}
