@@ -44,7 +44,7 @@ def wanted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 
 @pytest.fixture(params=["threads", "processes"])
-def workers(request: pytest.FixtureRequest) -> Iterator[Workers]:
+def workers(request: pytest.FixtureRequest, warm_processes: None) -> Iterator[Workers]:
     if request.param == "processes":
         yield Workers(2)
         return

@@ -195,6 +195,7 @@ def test_a_run_that_is_stopped_goes_on_and_gives_the_same_bytes(
         assert not {"viewpoints", "cells", "importance", "fit"} & set(stages)
 
 
+@pytest.mark.usefixtures("warm_processes")
 def test_the_same_bytes_with_two_processes(made: tuple[Path, Prepared], rooms: OccluderScene, tmp_path: Path) -> None:
     out = tmp_path / "rooms.gsvis"
     shutil.copytree(made[1].work, tmp_path / "rooms.gsvis.work")
