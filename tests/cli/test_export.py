@@ -43,6 +43,10 @@ def test_a_package_becomes_a_site(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main(["export", str(tmp_path / "s.gsvis"), "-o", str(tmp_path / "site"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["kind"], found["gaussians"], found["cells"]) == ("static", 72, 1)
+    for named, name in (([], "Our room"), (["--name", "room"], "room")):
+        words = ["export", str(tmp_path / "s.gsvis"), "-o", str(tmp_path / "site"), "--title", "Our room", *named]
+        assert main(words) == 0
+        assert Reader(tmp_path / "site" / "scene").scene["name"] == name
 
 
 def test_a_scene_becomes_one_file_and_that_is_not_replaced(
