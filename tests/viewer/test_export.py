@@ -42,9 +42,11 @@ def test_a_package_as_a_site_names_what_is_missing_and_shows_the_rest(browser: A
     viewer = viewer_files()
     with package_of(tmp_path / "s.gsvis", 400) as package:
         made = write_site(tmp_path / "site", package, viewer=viewer)
-    (made.scene.path / made.scene.files["terms"].names[0]).unlink()
+    missing = made.scene.files["terms"].names[0]
+    (made.scene.path / missing).unlink()
     with served(tmp_path / "site") as address, page_in(browser, address + "/index.html") as (page, said):
-        wait_for(page, ARRIVED)
+        wait_for(page, missing)
+        assert ARRIVED not in page.inner_text("body")
         assert all("404" in each for each in said)  # what the browser itself says of a missing file
 
 
