@@ -220,6 +220,7 @@ PAGES = {
             "splat_budget",
             "static_seconds",
             "static_seconds_quiet",
+            "static_seconds_glances",
             "static_rivals",
             "walls",
             "first_views",
