@@ -3,10 +3,10 @@
 The whole bench in one command. Runs `streaming_rivals.py` for every package: first over constant links of 1, 3, 10
 and 30 Mbit/s, all systems, eight walks; then over recorded links of these classes, ours and the rivals, four walks.
 Draws figures 9 to 14 of the paper (`streaming_plots.py`) and writes `tables.md`: ours beside the best rival of each
-class, and tables 1 and 2 of the paper with a line for what is here. What is finished is kept, so a killed run goes
-on. A part that would begin after `--minutes` is left out, and named in the tables. One walk over constant
-links takes 1.5 minutes of a core in nika and 2.3 in showroom, so all of it about 50 by reckoning: less than an hour on
-four cores. `--quick` takes minutes: two walks, constant links of 3 and 10 Mbit/s, small images.
+class, and table 1 of the paper with a line for what is here; `paper/figures.py` writes the others. What is finished
+is kept, so a killed run goes on. A part that would begin after `--minutes` is left out, and named in the tables. One
+walk over constant links takes 1.5 minutes of a core in nika and 2.3 in showroom, so all of it about 50 by reckoning:
+less than an hour on four cores. `--quick` takes minutes: two walks, constant links of 3 and 10 Mbit/s, small images.
 
 Given: packages with visible sets and levels; see `streaming_rivals.py`.
 Measured: what `streaming_rivals.py` measures; this collects it.
@@ -28,8 +28,6 @@ from typing import Any, NamedTuple
 from _delivery_systems import OTHERS, OURS
 from _harness import need
 
-RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results"
-
 TABLE_1 = (
     ("Compressed-3D", "no", "no", "no", "named with published sizes"),
     ("SOGG", "no", "no", "no", "named with published sizes"),
@@ -38,8 +36,6 @@ TABLE_1 = (
     ("the paper's own", "yes", "yes", "yes", "not published"),
 )
 """Table 1 of the paper: Gaussians by view, attributes by view, differences alone; then how it is compared with here."""
-TABLE_2 = ("the paper's, 3DGS", 0.9025, 30.543), ("the paper's, SRBF", 0.9051, 30.886)
-"""The row of bonsai in table 2 of the paper: SSIM, PSNR."""
 
 
 class Part(NamedTuple):
@@ -86,7 +82,7 @@ def tables(done: Sequence[tuple[Part, dict[str, Any]]], left_out: Sequence[Part]
     if left_out:
         names = ", ".join(f"{part.scene} on {part.name} links" for part in left_out)
         lines += ["", f"Left out, since the time was over: {names}. The same command goes on with them."]
-    return "\n".join([*lines, "", *_table_1(), "", *_table_2(), ""])
+    return "\n".join([*lines, "", *_table_1(), ""])
 
 
 def _table_1() -> list[str]:
@@ -99,20 +95,6 @@ def _table_1() -> list[str]:
         chosen = by_view.get(name, "by distance" if "leaves" in name else "no")
         lines.append(f"| {name} | {chosen} | no | no | simulated |")
     return lines
-
-
-def _table_2() -> list[str]:
-    """Bonsai beside the paper's own row; ours as `train_srbf.py` measured it."""
-    kept = json.loads((RESULTS / "train_srbf.json").read_text(encoding="utf-8"))["details"]
-    lines = ["## What do SRBF colors cost on bonsai? (table 2 of the paper)", ""]
-    lines += ["| | SSIM | PSNR, dB |", "|---|---|---|"]
-    ours = [("ours, SH", kept["sh"]["ssim"], kept["sh"]["psnr"])]
-    ours += [
-        (f"ours, {row['variant']}, {row['mean_terms']:.1f} terms a Gaussian", row["ssim"], row["psnr"])
-        for row in kept["rows"]
-    ]
-    lines += [f"| {name} | {similar:.4f} | {db:.2f} |" for name, similar, db in (*TABLE_2, *ours)]
-    return [*lines, "", "Theirs and ours are trained differently and on other sizes: compare the loss, not the level."]
 
 
 def main() -> None:

@@ -37,9 +37,12 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     Raises:
         FormatError: If it is damaged.
     """
+    data = read_whole(path)
+    remedy = f"delete {path.parent} to train again"
+    if not zipfile.is_zipfile(io.BytesIO(data)):
+        raise FormatError(path, "", "arrays of a trained system", f"{len(data):,} bytes that are no whole zip", remedy)
     try:
-        with np.load(io.BytesIO(read_whole(path)), allow_pickle=False) as found:
+        with np.load(io.BytesIO(data), allow_pickle=False) as found:
             return {name: found[name] for name in found.files}
     except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
-        remedy = f"delete {path.parent} to train again"
         raise FormatError(path, "", "arrays of a trained system", str(error) or type(error).__name__, remedy) from None

@@ -6,6 +6,7 @@ the same processor seconds, and judged by the others as the walk passes them. Sy
     python benchmarks/arena/run.py                     # bonsai, 8 recorded links of 3, 10 and 30 Mbit/s
     python benchmarks/arena/run.py --quick             # a built-in scene, minutes, no data
     python benchmarks/arena/run.py --systems gsvis "3DGS, SOG" --mbit 10
+    python benchmarks/arena/run.py --mbit 3 10 30 --links 8 8 24
 
 Trainings are kept in `--work`; a second run only plays.
 
@@ -54,7 +55,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=200.0, help="processor seconds of training, each system")
     parser.add_argument("--gaussians", type=int, default=60_000, help="most Gaussians of a scene")
     parser.add_argument("--mbit", nargs="*", type=float, default=list(CLASSES), help="classes of links")
-    parser.add_argument("--links", type=int, default=8, help="links of each class")
+    parser.add_argument(
+        "--links", nargs="+", type=int, default=[8], help="links of each class: one number, or one for each"
+    )
     parser.add_argument("--systems", nargs="*", default=names, metavar="NAME", help=f"default all: {', '.join(names)}")
     parser.add_argument("--work", type=Path, default=Path("out/arena"), help="folder of trainings")
     parser.add_argument("--quick", action="store_true", help="a built-in scene, 100 steps, two drawn links of 3 Mbit/s")
@@ -62,8 +65,11 @@ def main() -> None:
     unknown = [name for name in options.systems if name not in names]
     if unknown:
         parser.error(f"--systems: expected some of {', '.join(names)}; got {unknown[0]!r}")
-    if options.links < 1 or not options.mbit or min(options.mbit) <= 0:
+    if min(options.links) < 1 or not options.mbit or min(options.mbit) <= 0:
         parser.error("--links, --mbit: expected at least one link and rates above 0")
+    if len(options.links) not in (1, len(options.mbit)):
+        classes = len(options.mbit)
+        parser.error(f"--links: expected one number, or {classes} for {classes} classes; got {len(options.links)}")
     try:
         run(options)
     except (GsvisError, ValueError, OSError) as error:
@@ -75,10 +81,14 @@ def main() -> None:
 def run(options: argparse.Namespace) -> None:
     """Train what is not trained yet, play all sessions, print the tables and write the result."""
     if options.quick:
-        options.mbit, options.links, options.work = [3.0], 2, options.work / "quick"
+        options.mbit, options.links, options.work = [3.0], [2], options.work / "quick"
     allowance = Allowance(options.seconds, options.gaussians, 100 if options.quick else None)
     course = open_course(options)
-    links = {mbit: open_links(mbit, options.links, course.seconds, options.quick) for mbit in options.mbit}
+    counts = options.links if len(options.links) > 1 else options.links * len(options.mbit)
+    links = {
+        mbit: open_links(mbit, count, course.seconds, options.quick)
+        for mbit, count in zip(options.mbit, counts, strict=True)
+    }
     chosen = [system for system in SYSTEMS if system.name in options.systems]
     systems, rows = [], list[dict[str, Any]]()
     for system in chosen:

@@ -2,6 +2,7 @@
 
     python benchmarks/paper/figures.py                                   # builtin:two_rooms, in minutes, no data
     python benchmarks/paper/figures.py --scene scene.ply --figures 3 13  # some figures of a scene of yours
+    python benchmarks/paper/figures.py --scene scene.ply --photos DIR --width 200 --height 133   # judged by photographs
 
 Writes PNG files with the paper's points drawn in where it states any, tables.md from this run, and captions.md, which
 says what could not be made like for like. Everything comes from this run, nothing from kept results.
@@ -37,10 +38,12 @@ from gsvis.report.theme import LIGHT
 from gsvis.scene.icosphere import face_directions, face_shares
 from gsvis.simulate.viewing import Viewing
 from gsvis.train import most_important
+from paper.photographs import Photographs, add_options
 from paper.pieces import open_scene
 from paper.sphere import SphereConfig, fit_function
 from paper.spheres import sphere_figure
-from paper.study import Study, clipped
+from paper.study import Likeness, Study, clipped
+from paper.tables import tables
 from paper.walk import PAPER_WALK
 from paper.walk_terms import PAPER_TERMS
 
@@ -51,14 +54,10 @@ ERRORS = (0.58533, 0.12596, 0.035824, 0.0083, 0.00302, 0.00074)
 """Figure 15: mean squared errors by the number of SRBFs."""
 DROPS = {"middle": (0.011, -0.105), "low": (-3.635, -0.844)}
 """Figure 18: PSNR against that of the best level, in its two scenes."""
-TABLE_2 = {"3DGS": (0.9016, 30.230), "SRBF": (0.8998, 30.020)}
-"""Table 2: mean SSIM and PSNR over seven scenes."""
-TABLE_3 = {"hsv": (0.8588, 24.6019), "yuv": (0.8622, 25.0568), "hsl-l": (0.8619, 25.0958), "hsl": (0.8659, 25.6043)}
-"""Table 3: SSIM and PSNR; 3DGS itself has 0.8679 and 25.7551."""
-TABLE_3_3DGS = (0.8679, 25.7551)
-NOT_HERE = """Figures 1, 2, 6 and 7 explain, they measure nothing. Table 1 says what systems can do: see docs/rivals.md.
-Its four rivals and Octree-GS are trained, so they have no curve here. LPIPS needs weights that are not installed; FLIP
-stands in its place. The truth is the scene itself, not photographs."""
+USUAL = ("cells=8", "steps=60", "face-size=256")
+VIEWS = "views=60"
+NOT_HERE = """Figures 1, 2, 6 and 7 explain, they measure nothing. The four rivals of table 1 and Octree-GS are trained
+from photographs, so they have no curve here: `benchmarks/arena/run.py` trains copies of them."""
 
 
 def main() -> None:
@@ -67,8 +66,14 @@ def main() -> None:
     parser.add_argument("--lod", type=int)
     parser.add_argument("--figures", type=int, nargs="*", choices=FIGURES, default=list(FIGURES), help="default all")
     parser.add_argument("--no-tables", action="store_true")
-    usual = ["cells=8", "steps=60", "views=60", "face-size=256"]
-    parser.add_argument("--prepare", nargs="*", default=usual, metavar="NAME=VALUE", help="options of gsvis prepare")
+    add_options(parser)
+    usual = " ".join((*USUAL, VIEWS))
+    parser.add_argument(
+        "--prepare",
+        nargs="*",
+        metavar="NAME=VALUE",
+        help=f"options of gsvis prepare; {usual}, without views by --photos",
+    )
     parser.add_argument("--mbit", type=float, default=1.5, help="of the link")
     parser.add_argument("--seconds", type=float, default=12.0, help="of a session; the paper's have 30")
     parser.add_argument("--out", type=Path, default=Path("out/paper_figures"), help="folder of the PNG files")
@@ -81,8 +86,9 @@ def main() -> None:
 
 def write_all(options: argparse.Namespace) -> None:
     """Write the figures and tables that were asked for, one by one."""
-    scene = open_scene(options.scene, options.lod, [], max(options.seconds, PAPER_WALK["seconds"]))
-    words = [word for each in options.prepare for word in ("--" + each).split("=")]
+    photographs = Photographs.read(options)
+    scene = open_scene(options.scene, options.lod, [], max(options.seconds, PAPER_WALK["seconds"]), photographs)
+    words = words_of(options.prepare, photographs)
     options.out.mkdir(parents=True, exist_ok=True)
     captions = [f"# Figures of SRBF-Gaussian on {scene.name}", "", NOT_HERE]
     with temporary_folder() as work:
@@ -100,6 +106,13 @@ def write_all(options: argparse.Namespace) -> None:
             print(text)
         if "package" in vars(study):
             study.package.close()
+
+
+def words_of(given: list[str] | None, photographs: Photographs | None) -> list[str]:
+    """Return the options of `gsvis prepare`: those given, or few of all, and the photographs."""
+    usual = [*USUAL, *([VIEWS] if photographs is None else [])]
+    words = [word for each in (usual if given is None else given) for word in ("--" + each).split("=")]
+    return words if photographs is None else [*words, *photographs.words]
 
 
 Drawn = tuple[bytes, str]
@@ -225,13 +238,14 @@ def draw_colors(study: Study) -> Drawn:
     for c in (1, 2):
         camera = study.scene.judges[c]
         rows.append([study.draw_scene(camera), study.draw_variant("hsl", camera), study.draw_variant("ours", camera)])
-    values = {
-        name: study.compare(lambda camera, name=name: study.draw_variant(name, camera)) for name in ("hsl", "ours")
-    }
-    return montage(rows, ["SH", "HSL by OMP, the paper's", "RGB lobes, ours"]), (
-        f"Against SH: {values['hsl'].psnr:.1f} dB in the paper's way, {values['ours'].psnr:.1f} dB in ours, with as"
-        " many terms. The paper compares both with photographs."
-    )
+    values = {name: study.variant_likeness(name).psnr for name in ("hsl", "ours")}
+    said = f"{values['hsl']:.1f} dB in the paper's way, {values['ours']:.1f} dB in ours, with as many terms."
+    if study.by_photographs:
+        sh = study.scene_likeness.psnr
+        caption = f"Against photographs that no training saw: {sh:.1f} dB with SH, {said}"
+    else:
+        caption = f"Against SH: {said} The paper compares with photographs."
+    return montage(rows, ["SH", "HSL by OMP, the paper's", "RGB lobes, ours"]), caption
 
 
 def draw_highlights(study: Study) -> Drawn:
@@ -252,17 +266,35 @@ def draw_levels(study: Study) -> Drawn:
     names = study.package.manifest.names
     camera = study.scene.judges[3]
     images, titles, drops = [], [], []
+    best = study.level(-1)[1]
     for k, name in enumerate(names):
         _, held = study.level(k)
         images.append(study.draw_level(camera, held))
         found = study.compare(lambda camera, held=held: study.draw_level(camera, held))
         drops.append(found.psnr)
-        titles.append(f"{name}, {int(held.sum()):,}: {found.psnr:.1f} dB")
+        share, stays = held.sum() / best.sum(), (held & best).sum() / held.sum()
+        titles.append(f"{name}: {int(held.sum()):,}, {share:.1%}\n{stays:.1%} reused\n{said_of(found)}")
     apart = ", ".join(f"{name} {value - drops[-1]:+.2f} dB" for name, value in zip(names[:-1], drops, strict=False))
     return montage([images], titles), (
-        f"Against the best level: {apart}; paper, two scenes: low {DROPS['low'][0]:+.2f} and {DROPS['low'][1]:+.2f},"
-        f" middle {DROPS['middle'][0]:+.2f} and {DROPS['middle'][1]:+.2f}. The paper compares with photographs at 18.7"
-        " and 34.9%, here with the scene itself, so that its best level has no error but rounding and colors."
+        f"PSNR against that of the best level, mean of {len(study.scene.judges)} views: {apart}; paper, two scenes: low"
+        f" {DROPS['low'][0]:+.2f} and {DROPS['low'][1]:+.2f}, middle {DROPS['middle'][0]:+.2f} and"
+        f" {DROPS['middle'][1]:+.2f}, of 18.7 and 34.9% of the Gaussians. {levels_apart(study)}"
+    )
+
+
+def said_of(found: Likeness) -> str:
+    """Return what was measured of an image in a line."""
+    lpips = "" if found.lpips is None else f", LPIPS {found.lpips:.3f}"
+    return f"{found.psnr:.1f} dB, SSIM {found.ssim:.3f}{lpips}"
+
+
+def levels_apart(study: Study) -> str:
+    """Return what is not like the paper in the comparison of levels."""
+    if study.by_photographs:
+        return "Against photographs that no training saw, as in the paper, but smaller ones and of another scene."
+    return (
+        "The paper compares with photographs, this run with the scene itself, so that the best level has no error but"
+        " rounding and colors."
     )
 
 
@@ -278,35 +310,6 @@ FIGURES: dict[int, Callable[[Study], Drawn]] = {
     18: draw_levels,
 }
 """All figures with a measurement; 8 is a part of 15, and 10, 11, 12 and 14 are panels of 9."""
-
-
-def tables(study: Study) -> str:
-    """Return tables 2 and 3 as Markdown, from this run."""
-    found = {
-        name: study.compare(lambda camera, name=name: study.draw_variant(name, camera))
-        for name in ("hsl", "ours", "hsl-l", "yuv", "hsv")
-    }
-    lines = ["## What do SRBF colors cost? (table 2)", "", "| | SSIM | PSNR against SH | FLIP | paper: PSNR lost |"]
-    lines.append("|---|---|---|---|---|")
-    lost = TABLE_2["SRBF"][1] - TABLE_2["3DGS"][1]
-    for name, said in (("hsl", "HSL by OMP, the paper's"), ("ours", "RGB lobes, ours")):
-        paper = f"{lost:+.2f} dB, mean of seven scenes" if name == "hsl" else ""
-        lines.append(f"| {said} | {cells(found[name])} | {paper} |")
-    lines += ["", "## Which color space? (table 3)", "", "| | SSIM | PSNR against SH | FLIP | paper: PSNR lost |"]
-    lines.append("|---|---|---|---|---|")
-    for name in ("hsl", "hsl-l", "yuv", "hsv"):
-        lines.append(f"| {name} | {cells(found[name])} | {TABLE_3[name][1] - TABLE_3_3DGS[1]:+.2f} dB |")
-    lines += [
-        "",
-        "Against the scene's own images with SH, in views that no fit used: the paper compares with photographs.",
-    ]
-    return "\n".join([*lines, ""])
-
-
-def cells(found: Any) -> str:
-    """Return the figures of a likeness as cells of a table."""
-    flip = "" if found.flip is None else f"{found.flip:.4f}"
-    return f"{found.ssim:.4f} | {found.psnr:.2f} dB | {flip}"
 
 
 def curve_of(seen: Viewing, quantity: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -3,10 +3,12 @@
 Prepares one scene in our way, then with one piece at a time in the paper's (`gsvis.cli.paper.PIECES`), then with all of
 them; `--base paper` begins from the paper's system and exchanges one piece for ours. The pieces are the options of the
 commands. What a piece does not change is taken from the first preparation. Quality is measured by cameras of another
-seed, against the scene itself; sessions walk through the scene over constant links.
+seed, against the scene itself; sessions walk through the scene over constant links. With `--photos` photographs held
+out are the truth, and there are no sessions: `benchmarks/arena/run.py` plays those.
 
     python benchmarks/paper/pieces.py                                  # builtin:two_rooms, no data
     python benchmarks/paper/pieces.py --scene nika/lod-meta.json --lod 2 --walks a.csv b.csv
+    python benchmarks/paper/pieces.py --scene scene.ply --photos DIR --width 200 --height 133
 
 Given: a scene, walks (drawn where none are given), constant links.
 Measured: PSNR of all levels in held-out views, with all records and with what a cell needs; bytes of the package;
@@ -56,6 +58,7 @@ from gsvis.scene.retarget import RetargetConfig, retarget
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.simulate import Adaptive, Link, Stage, ViewingConfig, play, watch
 from gsvis.stream import StreamedScene
+from paper.photographs import Photographs, add_options
 
 JUDGES = ViewSampling(16, 320, 240, 70.0, seed=91, stream=11)
 """Cameras that nothing was made or chosen with."""
@@ -99,7 +102,10 @@ class Clock:
 
 @dataclass(frozen=True)
 class Scene:
-    """The scene, where eyes may be, the cameras that judge, and the walks."""
+    """The scene, where eyes may be, the cameras that judge, and the walks.
+
+    With photographs, those held out judge and are the truth; else cameras of another seed and the scene's own images.
+    """
 
     name: str
     gaussians: Gaussians
@@ -107,6 +113,12 @@ class Scene:
     judges: Cameras
     truth: tuple[np.ndarray, ...]
     walks: tuple[HeadPath, ...]
+    photographs: Photographs | None = None
+
+    @property
+    def photos(self) -> Path | None:
+        """Folder of the photographs; None without."""
+        return None if self.photographs is None else self.photographs.folder
 
 
 def main() -> None:
@@ -117,6 +129,7 @@ def main() -> None:
     parser.add_argument("--pieces", nargs="*", help="options of these pieces alone, without --; default all")
     parser.add_argument("--prepare", nargs="*", default=[], metavar="NAME=VALUE", help="options of all preparations")
     parser.add_argument("--walks", nargs="*", type=Path, default=[], help="recorded walks; default two that are drawn")
+    add_options(parser)
     parser.add_argument("--mbit", nargs="*", type=float, default=[1.0, 3.0], help="constant links")
     parser.add_argument("--seconds", type=float, default=15.0, help="of a session")
     options = parser.parse_args()
@@ -128,14 +141,17 @@ def main() -> None:
 
 def measure_all(options: argparse.Namespace) -> None:
     """Measure all systems, print the table and write the result."""
-    scene = open_scene(options.scene, options.lod, options.walks, options.seconds)
+    photographs = Photographs.read(options)
+    scene = open_scene(options.scene, options.lod, options.walks, options.seconds, photographs)
     common = [word for each in options.prepare for word in ("--" + each).split("=")]
+    common += [] if photographs is None else photographs.words
     with temporary_folder() as work:
         rows, failed = measure_systems(scene, systems_of(options.base, options.pieces), common, options, Path(work))
     print(table(rows))
     details = {"scene": scene.name, "gaussians": len(scene.gaussians), "base": options.base, "rows": rows}
     details["failed"] = failed
-    details |= {"judges": vars(JUDGES), "walks": [len(walk) for walk in scene.walks], "links_mbit": options.mbit}
+    details["judges"] = vars(JUDGES) if photographs is None else f"{len(scene.judges)} photographs held out"
+    details |= {"walks": [len(walk) for walk in scene.walks], "links_mbit": options.mbit}
     write_result(options.out, "What is each departure from the paper worth?", figures_of(rows), details)
 
 
@@ -222,7 +238,7 @@ class Quiet:
 def prepare(scene: Scene, out: Path, config: PrepareConfig, known: dict[str, float]) -> dict[str, float]:
     """Prepare a package; return the seconds of processor of its stages, those of kept results from `known`."""
     clock = Clock()
-    made: Prepared = prepare_package(scene.gaussians, out, scene.space, config, progress=clock)
+    made: Prepared = prepare_package(scene.gaussians, out, scene.space, config, photos=scene.photos, progress=clock)
     return {
         stage.name: known[stage.name] if stage.reused and stage.name in known else clock.seconds[stage.name]
         for stage in made.stages
@@ -233,45 +249,58 @@ def prepare(scene: Scene, out: Path, config: PrepareConfig, known: dict[str, flo
 def measure(scene: Scene, out: Path, system: System, options: argparse.Namespace) -> dict[str, Any]:
     """Return quality, bytes and sessions of a package that is sent in the way of a system."""
     with Package.open(out) as package:
-        found = measure_fidelity(
-            scene.gaussians,
-            package.contents,
-            scene.judges,
-            sets=package.visibility,
-            active=package.active_terms,
-        )
-        assert found.cell is not None
         levels = level_psnr(package, scene)
+        quality = against_scene(package, scene) if scene.photographs is None else against_photographs(package, scene)
         visible = float(np.mean(package.visibility.visible_counts)) / len(package)
         sizes = {**package.manifest.sizes(), "epsilon": package.epsilon, "terms_count": package.manifest.terms}
         return {
             "levels": levels,
             "low": min(levels.values(), default=float("nan")),
-            "records": found.records.psnr,
-            "cell": found.cell.psnr,
-            "worst": found.cell.worst,
+            **quality,
             "sizes": sizes,
             "bytes": sum(part.nbytes for part in package.manifest.parts()),
             "cell_sees": visible,
-            "sessions": sessions(scene, package, system, options),
+            "sessions": [] if scene.photographs else sessions(scene, package, system, options),
         }
 
 
+def against_scene(package: Package, scene: Scene) -> dict[str, float | None]:
+    """Return the PSNR of all records and of what a cell needs, against the scene, and the worst view of the latter."""
+    found = measure_fidelity(
+        scene.gaussians,
+        package.contents,
+        scene.judges,
+        sets=package.visibility,
+        active=package.active_terms,
+    )
+    assert found.cell is not None
+    return {"records": found.records.psnr, "cell": found.cell.psnr, "worst": found.cell.worst}
+
+
+def against_photographs(package: Package, scene: Scene) -> dict[str, float | None]:
+    """Return the same against photographs; what a cell needs is judged against the scene alone, and None here."""
+    values = view_psnr(package, scene, len(package.contents.names) - 1)
+    return {"records": float(np.mean(values)), "cell": None, "worst": min(values)}
+
+
 def level_psnr(package: Package, scene: Scene) -> dict[str, float]:
-    """Return the mean PSNR of each level below the highest, as a client shows it with all its terms."""
+    """Return the mean PSNR of each level below the highest."""
+    names = package.contents.names[:-1]
+    return {name: float(np.mean(view_psnr(package, scene, level))) for level, name in enumerate(names)}
+
+
+def view_psnr(package: Package, scene: Scene, level: int) -> list[float]:
+    """Return the PSNR of a level in each view of the judges, as a client shows it with all its terms."""
     contents = package.contents
     g = contents.gaussians()
     colors = Evaluator(contents.colors().dequantize())
-    found = {}
-    for level, name in enumerate(contents.names[:-1]):
-        held = (contents.first <= level) & (level <= contents.last)
-        values = []
-        for c, truth in enumerate(scene.truth):
-            camera = scene.judges[c]
-            shown = rasterize(g[held], camera, colors=colors.colors(g.means, camera.viewpoints[0])[held]).images[0]
-            values.append(min(100.0, float(psnr(np.clip(shown, 0.0, 1.0), truth))))
-        found[name] = float(np.mean(values))
-    return found
+    held = (contents.first <= level) & (level <= contents.last)
+    values = []
+    for c, truth in enumerate(scene.truth):
+        camera = scene.judges[c]
+        shown = rasterize(g[held], camera, colors=colors.colors(g.means, camera.viewpoints[0])[held]).images[0]
+        values.append(min(100.0, float(psnr(np.clip(shown, 0.0, 1.0), truth))))
+    return values
 
 
 def sessions(scene: Scene, package: Package, system: System, options: argparse.Namespace) -> list[dict[str, Any]]:
@@ -301,7 +330,8 @@ def sessions(scene: Scene, package: Package, system: System, options: argparse.N
 
 def compare(row: dict[str, Any], base: dict[str, Any]) -> dict[str, Any]:
     """Return the differences of a row from the first."""
-    apart: dict[str, Any] = {name: row[name] - base[name] for name in CHANGED}
+    measured = [name for name in CHANGED if row[name] is not None]
+    apart: dict[str, Any] = {name: row[name] - base[name] for name in measured}
     apart["bytes"] = row["bytes"] / base["bytes"] - 1.0
     apart["seconds"] = sum(row["seconds"].values()) - sum(base["seconds"].values())
     for name in ("score", "psnr"):
@@ -317,9 +347,11 @@ def table(rows: list[dict[str, Any]]) -> str:
     lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     for row in rows:
         score, db = row["against"]["session_score"], row["against"]["session_psnr"]
-        cells = [row["name"], *(f"{row[name]:.2f}" for name in CHANGED), f"{row['bytes'] / 1e6:.3f}"]
-        cells.append(f"{sum(row['seconds'].values()):.1f}")
-        if row is rows[0] or score is None:
+        said = ("-" if row[name] is None else f"{row[name]:.2f}" for name in CHANGED)
+        cells = [row["name"], *said, f"{row['bytes'] / 1e6:.3f}", f"{sum(row['seconds'].values()):.1f}"]
+        if not row["sessions"]:
+            cells += ["-", "-"]
+        elif row is rows[0] or score is None:
             cells += [f"{np.mean([each[name] for each in row['sessions']]):.2f}" for name in ("psnr", "score")]
         else:
             cells += [f"{db['mean']:+.2f}", f"{score['mean']:+.3f} ({score['low']:.3f} to {score['high']:.3f})"]
@@ -336,10 +368,13 @@ def figures_of(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         {"name": f"{row['name']}: {text}", "target": None, "reached": row["against"][key], "unit": unit, "better": good}
         for row in rows[1:]
         for key, (text, unit, good) in said.items()
+        if key in row["against"]
     ]
 
 
-def open_scene(path: str, lod: int | None, walks: list[Path], seconds: float) -> Scene:
+def open_scene(
+    path: str, lod: int | None, walks: list[Path], seconds: float, photographs: Photographs | None = None
+) -> Scene:
     """Return the scene with its judges and walks.
 
     Raises:
@@ -347,18 +382,22 @@ def open_scene(path: str, lod: int | None, walks: list[Path], seconds: float) ->
     """
     source = load_source(path, lod)
     g = source.gaussians
-    place = find_place(source)
+    place = find_place(source, cameras=None if photographs is None else photographs.cameras)
     if place.space is None:
         raise SystemExit(f"{path}: {place.why_not}; take another scene")
-    judges = JUDGES.cameras(g, place.space)
-    truth = tuple(np.clip(rasterize(g, judges[c]).images[0], 0.0, 1.0) for c in range(len(judges)))
+    if photographs is None:
+        judges = JUDGES.cameras(g, place.space)
+        truth = tuple(np.clip(rasterize(g, judges[c]).images[0], 0.0, 1.0) for c in range(len(judges)))
+    else:
+        judges = photographs.judges
+        truth = photographs.truth
     given = [load_path(walk).cut(0.0, seconds + 2.0) for walk in walks] or [
         drawn_walk(seed, seconds) for seed in (1, 2)
     ]
     moved = [
         retarget(walk, place.space, RetargetConfig(project=True, seed=90 + k)).path for k, walk in enumerate(given)
     ]
-    return Scene(source.name, g, place.space, judges, truth, tuple(moved))
+    return Scene(source.name, g, place.space, judges, truth, tuple(moved), photographs)
 
 
 def drawn_walk(seed: int, seconds: float) -> HeadPath:

@@ -32,6 +32,7 @@ from gsvis.simulate import Adaptive, Delivery, Link, MortonProgressive, Stage, V
 from gsvis.simulate.viewing import Viewing
 from gsvis.stream import StreamedScene
 from paper.held import HELD, fit_held
+from paper.perceptual import Distance, open_lpips
 from paper.pieces import Scene
 from paper.walk import WalkConfig
 from paper.walk_terms import WalkTerms, terms_over_walk
@@ -49,17 +50,19 @@ _PIECE = 0.5  # seconds
 
 @dataclass(frozen=True)
 class Likeness:
-    """How like the scene's own images those of other colors or levels are, in the mean of the views of the judges.
+    """How like the truth images of other colors or levels are, in the mean of the views of the judges.
 
     Attributes:
         psnr: dB.
         ssim: In [0, 1].
         flip: FLIP error; None where it is not installed.
+        lpips: LPIPS on VGG-16; None where its weights are not installed.
     """
 
     psnr: float
     ssim: float
     flip: float | None
+    lpips: float | None = None
 
 
 class Study:
@@ -78,6 +81,7 @@ class Study:
         self.work = work
         self.mbit = mbit
         self.seconds = seconds
+        self._measured: dict[str, Likeness] = {}
         # The name of a scene decides no setting: any that exists will do.
         self._words = ["prepare", "builtin:two_rooms", "-o", "out.gsvis", *prepare]
 
@@ -88,8 +92,18 @@ class Study:
         assert isinstance(command, Prepare)
         config = check_arguments(command)
         out = self.work / "scene.gsvis"
-        prepare_package(self.scene.gaussians, out, self.scene.space, config)
+        prepare_package(self.scene.gaussians, out, self.scene.space, config, photos=self.scene.photos)
         return Package.open(out)
+
+    @property
+    def by_photographs(self) -> bool:
+        """Whether photographs are the truth, not the scene's own images."""
+        return self.scene.photos is not None
+
+    @cached_property
+    def lpips(self) -> Distance | None:
+        """LPIPS, where its weights are installed."""
+        return open_lpips()
 
     @cached_property
     def gathered(self) -> ViewImportance:
@@ -129,9 +143,9 @@ class Study:
         return clipped(rasterize(self.scene.gaussians, camera).images[0])
 
     def compare(self, draw: Any) -> Likeness:
-        """Return how like the scene's images are those of `draw(camera)`, in all views of the judges."""
+        """Return how like the truth are images of `draw(camera)`, in all views of the judges."""
         images = [draw(self.scene.judges[c]) for c in range(len(self.scene.judges))]
-        return likeness(np.stack(images), np.stack(self.scene.truth))
+        return likeness(np.stack(images), np.stack(self.scene.truth), self.lpips)
 
     @cached_property
     def variants(self) -> dict[str, Any]:
@@ -155,6 +169,17 @@ class Study:
         """Return the image of the scene with colors of a variant."""
         colors = self.variants[name](camera.viewpoints[0])
         return clipped(rasterize(self.scene.gaussians, camera, colors=colors).images[0])
+
+    def variant_likeness(self, name: str) -> Likeness:
+        """Return how like the truth the scene is with colors of a variant; measured once."""
+        if name not in self._measured:
+            self._measured[name] = self.compare(lambda camera: self.draw_variant(name, camera))
+        return self._measured[name]
+
+    @cached_property
+    def scene_likeness(self) -> Likeness:
+        """How like the truth the scene itself is."""
+        return self.compare(self.draw_scene)
 
     @cached_property
     def walk_terms(self) -> WalkTerms:
@@ -195,8 +220,8 @@ def _systems(streamed: StreamedScene, config: ViewingConfig) -> dict[str, Delive
     }
 
 
-def likeness(images: F32, truth: F32) -> Likeness:
-    """Return the mean likeness of images (C, H, W, 3) and the truth."""
+def likeness(images: F32, truth: F32, lpips: Distance | None = None) -> Likeness:
+    """Return the mean likeness of images (C, H, W, 3) and the truth; LPIPS if it is given."""
     from gsvis.prepare.color_quality import has_flip
     from gsvis.render import flip
 
@@ -204,7 +229,8 @@ def likeness(images: F32, truth: F32) -> Likeness:
     db = [min(100.0, float(psnr(one, other))) for one, other in pairs]
     alike = [float(ssim(one, other)) for one, other in pairs]
     seen = float(np.mean([float(flip(one, other)) for one, other in pairs])) if has_flip() else None
-    return Likeness(float(np.mean(db)), float(np.mean(alike)), seen)
+    apart = None if lpips is None else float(np.mean([lpips(one, other) for one, other in pairs]))
+    return Likeness(float(np.mean(db)), float(np.mean(alike)), seen, apart)
 
 
 def clipped(image: F32) -> F32:

@@ -57,4 +57,3 @@ def test_the_tables_name_the_best_rival_what_is_missed_and_what_is_left_out(benc
     assert "| constant | 20 dB after, median | 0.1 s | 0.1 | reached |" in found
     assert "showroom on recorded links" in found
     assert all(f"| {name} |" in found for name in bench.OTHERS)
-    assert "| the paper's, SRBF | 0.9051 | 30.89 |" in found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from paper import figures, study
 from PIL import Image
 
 from gsvis.raycast import DirectionCdf
-from gsvis.scene.cameras import Cameras
 
 
 def size_of(data: bytes) -> tuple[int, int]:
@@ -54,21 +52,19 @@ def test_likeness_of_equal_images_is_perfect() -> None:
     same = study.likeness(images, images)
     assert (same.psnr, same.ssim) == (100.0, pytest.approx(1.0))
     assert same.flip in (None, pytest.approx(0.0, abs=1e-6))
-    assert study.likeness(images, np.clip(images + 0.1, 0.0, 1.0)).psnr < 30.0
+    assert same.lpips is None
+    other = study.likeness(images, np.clip(images + 0.1, 0.0, 1.0), lambda one, two: float(abs(one - two).max()))
+    assert other.psnr < 30.0
+    assert other.lpips == pytest.approx(0.1)
 
 
-def test_tables_come_from_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    known: dict[str, Any] = {"hsl": 31.0, "ours": 41.0, "hsl-l": 29.0, "yuv": 28.0, "hsv": 27.0}
-    asked: list[str] = []
-
-    def compare(draw: Any) -> study.Likeness:
-        asked.append(draw(Cameras.orbit([0, 0, 0], 3.0, 1, width=4, height=3)))
-        return study.Likeness(known[asked[-1]], 0.9, None)
-
-    text = figures.tables(SimpleNamespace(compare=compare, draw_variant=lambda name, camera: name))
-    assert sorted(asked) == sorted(known)
-    assert "| HSL by OMP, the paper's | 0.9000 | 31.00 dB |  | -0.21 dB, mean of seven scenes |" in text
-    assert "| hsv | 0.9000 | 27.00 dB |  | -1.15 dB |" in text
+def test_options_of_prepare_are_few_and_have_no_views_with_photographs() -> None:
+    assert figures.words_of(["steps=5"], None) == ["--steps", "5"]
+    photographs = SimpleNamespace(words=["--photos", "there"])
+    words = figures.words_of(None, photographs)
+    assert "--views" in figures.words_of(None, None)
+    assert "--views" not in words
+    assert words[-2:] == ["--photos", "there"]
 
 
 def test_pictures_stand_side_by_side() -> None:

@@ -1,12 +1,13 @@
 """gsvis: the scene is trained for half of the budget, then `gsvis prepare --photos` makes a package of it.
 
-Two ways: by default, and with every piece as the paper has it (`--as-in-paper`). Both are streamed by our scheduler,
-simulated message by message. Sets and colors are made in the seconds that `prepare` takes; what it takes beyond the
-other half of the budget is in the table.
+Three ways: by default, with records rounded as images allow (`--record-psnr`), and with every piece as the paper has it
+(`--as-in-paper`). All are streamed by our scheduler, simulated message by message. Sets and colors are made in the
+seconds that `prepare` takes; what it takes beyond the other half of the budget is in the table.
 """
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -28,22 +29,33 @@ from gsvis.stream import StreamedScene
 __all__ = ["PACKAGE", "SYSTEMS", "open_package"]
 
 PACKAGE = "scene.gsvis"
+WORK = f"{PACKAGE}.work"
 
-_COARSE = ("--cells", "32", "--face-size", "256", "--workers", "1")
+_COARSE = ("--cells", "16", "--face-size", "256", "--workers", "1")
 """Sets of few cells from small images: those of the defaults take many times the budget of the arena."""
 
+_ROUNDED = ("--record-psnr", "48")
+"""Rounded records as `docs/design/122` has them; chosen on nika."""
 
-def _prepare(*words: str) -> Callable[[Course, Allowance, Path, Progress], None]:
-    """Return a training that prepares a package with these options."""
+
+def _prepare(*words: str, begun: str | None = None) -> Callable[[Course, Allowance, Path, Progress], None]:
+    """Return a training that prepares a package with these options.
+
+    Args:
+        words: Options of `gsvis prepare`.
+        begun: Name of a training whose kept work is used again; None for none.
+    """
 
     def run(course: Course, allowance: Allowance, folder: Path, progress: Progress) -> None:
         progress("prepare", 0, 1)
         width, height = (str(side) for side in course.size)
         scene = folder.parent / HALF.name / SCENE
-        command = [sys.executable, "-m", "gsvis", "prepare", str(scene), "-o", str(folder / PACKAGE), "--discard"]
+        command = [sys.executable, "-m", "gsvis", "prepare", str(scene), "-o", str(folder / PACKAGE)]
         command += ["--photos", str(course.folder), "--width", width, "--height", height, *_COARSE, *words]
         if allowance.steps is not None:
             command += ["--steps", str(allowance.steps), "--cells", "4", "--face-size", "64"]
+        if begun is not None:
+            shutil.copytree(folder.parent / begun / WORK, folder / WORK)
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             last = (done.stderr.strip().splitlines() or ["no message"])[-1]
@@ -90,10 +102,12 @@ def _open(policy: str, terms: str) -> Callable[[Course, Path], Streamed]:
 
 
 OURS = Training("gsvis", _prepare(), HALF)
+ROUNDED = Training("rounded", _prepare(*_ROUNDED, begun=OURS.name), OURS)
 PAPER = Training("paper", _prepare("--as-in-paper"), HALF)
 
 SYSTEMS = (
     System("gsvis", OURS, _open("utility", "pose"), "this repository"),
+    System("gsvis, 48 dB records", ROUNDED, _open("utility", "pose"), "this repository, by `--record-psnr 48`"),
     System(
         "gsvis, as in the paper",
         PAPER,
