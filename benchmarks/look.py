@@ -87,17 +87,31 @@ def share_out(splats: Splats, eye: F64, threads: tuple[int, ...]) -> dict[int, f
     clusters.list_clusters(np.argsort(nearest, kind="stable"), boxes, lists, counts)
     light, depths = np.empty(shape, np.float32), np.empty(shape, np.float32)
     scene, best = (splats.near, splats.covars, splats.columns, splats.ids), np.zeros(2 * splats.total, np.float32)
-    squares = 6 * (-(-SIZE // kernels.SQUARE)) ** 2
+    wanted = every_square()
+    everyone = np.zeros(count, np.uint64), np.float32(0.0)
 
     def seconds_from(first: int) -> float:
         taken = np.full(1, first, np.int64)
         began = time.thread_time()
         kernels.splat_squares.kernel(
-            taken, scene, at, SIZE, np.float32(SPENT), nearest, boxes, lists, counts, best, light, depths
+            taken,
+            scene,
+            everyone,
+            at,
+            SIZE,
+            np.float32(SPENT),
+            nearest,
+            boxes,
+            lists,
+            counts,
+            wanted,
+            best,
+            light,
+            depths,
         )
         return time.thread_time() - began
 
-    rest = [min(seconds_from(first) for _ in range(2)) for first in range(squares + 1)]
+    rest = [min(seconds_from(first) for _ in range(2)) for first in range(wanted.size + 1)]
     costs = -np.diff(np.minimum.accumulate(rest))
     set_num_threads(2)
     faster = {}
@@ -107,6 +121,12 @@ def share_out(splats: Splats, eye: F64, threads: tuple[int, ...]) -> dict[int, f
             busy[busy.argmin()] += cost
         faster[many] = float(costs.sum() / busy.max())
     return faster
+
+
+def every_square() -> NDArray[np.bool_]:
+    """Return the mask of all squares of the faces."""
+    side = -(-SIZE // kernels.SQUARE)
+    return np.ones((6, side, side), bool)
 
 
 def measure_parts(splats: Splats, eyes: F64) -> dict[str, float]:
@@ -132,8 +152,10 @@ def measure_parts(splats: Splats, eyes: F64) -> dict[str, float]:
         best = part("room", lambda: np.zeros(2 * splats.total, np.float32))
         light, depths = np.empty(shape, np.float32), np.empty(shape, np.float32)
         eye_and_spent = at, SIZE, np.float32(SPENT)
-        lists_of = nearest, boxes, lists, counts
-        part("splat", lambda: kernels.splat_squares(scene, *eye_and_spent, *lists_of, best, light, depths))  # noqa: B023
+        lists_of = nearest, boxes, lists, counts, every_square()
+        everyone = np.zeros(count, np.uint64), np.float32(0.0)
+        buffers = best, light, depths
+        part("splat", lambda: kernels.splat_squares(scene, everyone, *eye_and_spent, *lists_of, *buffers))  # noqa: B023
         part("collect", lambda: kernels.take_found(best))  # noqa: B023
     set_num_threads(2)
     return {name: float(np.median(values)) for name, values in taken.items()}

@@ -64,8 +64,21 @@ class Looks:
         light, depths = np.empty(shape, np.float32), np.empty(shape, np.float32)
         scene = splats.near, splats.covars, splats.columns, splats.ids
         began = time.thread_time()
+        side = -(-SIZE // kernels.SQUARE)
         kernels.splat_squares(
-            scene, self.at, SIZE, np.float32(SPENT), self.nearest, self.boxes, lists, counts, best, light, depths
+            scene,
+            (np.zeros(count, np.uint64), np.float32(0.0)),
+            self.at,
+            SIZE,
+            np.float32(SPENT),
+            self.nearest,
+            self.boxes,
+            lists,
+            counts,
+            np.ones((6, side, side), bool),
+            best,
+            light,
+            depths,
         )
         taken = 1e3 * (time.thread_time() - began)
         ids, (weights, _) = kernels.take_found(best)

@@ -236,7 +236,7 @@ class EyesOfCameras:
     def _show(self, look: Look, camera: Cameras) -> Sight:
         """Return the Gaussians that a camera shows."""
         largest = view_weights(look.gaussians, camera).largest[0]
-        ids = np.flatnonzero(largest >= look.floor)
+        ids = np.flatnonzero(largest >= look.options.floor)
         return ids, largest[ids]
 
     def _draw_rays(self, count: int, rng: np.random.Generator, solid: Solid | None) -> tuple[F64, F64] | None:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from gsvis import _check
 from gsvis.hpr.gaussians import ON_HULL, OcclusionHull
-from gsvis.hpr.zbuffer import Seen, Splats, look_around
+from gsvis.hpr.zbuffer import Search, Seen, Splats, look_around
 from gsvis.raycast import TAU
 from gsvis.scene.gaussians import Gaussians
 
@@ -37,9 +37,9 @@ def hybrid(
     *,
     size: int = 256,
     tau: float = TAU,
-    margin: float = 0.1,
+    margin: float | None = 0.1,
     faint: float | None = None,
-    hull: bool = True,
+    search: Search | None = None,
 ) -> Seen:
     """Find what an eye sees, by the z-buffer and hidden point removal together.
 
@@ -49,10 +49,12 @@ def hybrid(
         viewpoint: (3,) the eye.
         size: Pixels along a side of the six faces of the z-buffer.
         tau: Least weight of a visible Gaussian, in (0, 1).
-        margin: Margin of the hull; see `OcclusionHull.from_scene`.
+        margin: Margin of the hull; see `OcclusionHull.from_scene`. None accepts all Gaussians in doubt and keeps no
+            z-buffer, which saves memory for large faces.
         faint: Weight in (0, tau] from which fainter Gaussians are returned too, if at least half of tau of the light
             reaches them; None for none.
-        hull: False accepts all Gaussians in doubt and keeps no z-buffer, which saves memory for large faces.
+        search: What is looked for, and where; None finds everything everywhere. Its `least` is ignored: it is half of
+            tau if some Gaussians are known. Squares need `margin` to be None.
 
     Returns:
         The Gaussians of weight tau or more; those accepted by the hull have the weight tau. Then the fainter ones, with
@@ -71,12 +73,16 @@ def hybrid(
     if not 0.0 < least <= tau:
         raise ValueError(f"faint: expected a weight in (0, {tau:g}], got {faint!r}")
     pixels = _check.positive_int("size", size, at_least=4)
-    seen = look_around(splats, viewpoint, size=pixels, spent=_DOUBT * tau, buffer=hull)
+    spent = _DOUBT * tau
+    search = search or Search()
+    if search.known is not None:
+        search = replace(search, least=spent)
+    seen = look_around(splats, viewpoint, size=pixels, spent=spent, buffer=margin is not None, search=search)
     weights = seen.weights
     limit = np.float32(tau)
     peak = seen.light * g.opacities[seen.ids]
     doubtful = np.flatnonzero((weights < limit) & (weights >= np.float32(_DOUBT) * limit) & (peak >= limit))
-    if len(doubtful) and hull:
+    if len(doubtful) and margin is not None:
         levels = seen.zbuffer.pyramid()
         level = max(k for k in range(len(levels)) if k == 0 or levels[k].shape[1] >= _HULL_SIZE)
         ends = OcclusionHull.from_depths(g[seen.ids[doubtful]], viewpoint, levels[level], margin=margin)

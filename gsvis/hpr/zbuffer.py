@@ -23,7 +23,7 @@ from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.lengths import length_factor
 
-__all__ = ["Seen", "Splats", "ZBuffer", "look_around"]
+__all__ = ["Search", "Seen", "Splats", "ZBuffer", "look_around", "squares_around"]
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
@@ -166,8 +166,58 @@ class Seen:
     zbuffer: ZBuffer
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Search:
+    """What a look is for, so that it may be faster: where, and which of N Gaussians.
+
+    Attributes:
+        squares: (6, T, T) squares of pixels to look at, from `squares_around` of the same size; None looks at all.
+        known: (N,) mask of Gaussians whose weights do not matter; None for none.
+        least: Weight below which no other Gaussian matters either. Specks that do not matter are thinned: one of up to
+            16 neighbors, each much smaller than a pixel, takes the light of all. 0 thins nothing.
+    """
+
+    squares: Mask | None = None
+    known: Mask | None = None
+    least: float = 0.0
+
+    def squares_of(self, size: int) -> Mask:
+        """Return the mask of squares of faces of `size` pixels.
+
+        Raises:
+            ValueError: If the squares belong to another size.
+        """
+        side = -(-size // kernels.SQUARE)
+        if self.squares is None:
+            return np.ones((6, side, side), bool)
+        if self.squares.shape != (6, side, side):
+            raise ValueError(
+                f"squares: expected shape {(6, side, side)} for faces of {size} pixels, got {self.squares.shape}"
+            )
+        return self.squares
+
+    def known_rows(self, splats: Splats) -> NDArray[np.uint64]:
+        """Return for each cluster of rows a word (B,) with bit k set if its row k is known.
+
+        Raises:
+            ValueError: If the mask belongs to another scene.
+        """
+        words = np.zeros(len(splats.bounds), np.uint64)
+        if self.known is not None:
+            if self.known.shape != (splats.total,):
+                raise ValueError(f"known: expected shape ({splats.total},), got {self.known.shape}")
+            kernels.pack_known(self.known, splats.ids, words)
+        return words
+
+
 def look_around(
-    splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent: float = MIN_ALPHA, buffer: bool = True
+    splats: Splats,
+    viewpoint: ArrayLike,
+    *,
+    size: int = 256,
+    spent: float = MIN_ALPHA,
+    buffer: bool = True,
+    search: Search | None = None,
 ) -> Seen:
     """Splat a scene around an eye, front to back, and keep the Gaussians that light reaches.
 
@@ -179,6 +229,7 @@ def look_around(
             front are dropped. To find all weights of tau, it must be at most tau.
         buffer: False keeps no depths: the z-buffer has faces of 0 x 0 pixels, and pixels that no Gaussian reaches cost
             nothing.
+        search: What is looked for, and where; None finds everything everywhere. Squares need `buffer` to be False.
 
     Raises:
         ValueError: If an argument is out of range.
@@ -188,6 +239,11 @@ def look_around(
         raise ValueError(f"size: expected 4 to {_MAX_SIZE} pixels, got {size}")
     if not 0.0 < spent < 1.0:
         raise ValueError(f"spent: expected a transmittance in (0, 1), got {spent!r}")
+    search = search or Search()
+    squares = search.squares_of(size)
+    if buffer and not squares.all():
+        raise ValueError("buffer: expected False with squares, as the z-buffer has no depths elsewhere; got True")
+    words = search.known_rows(splats)
     at = (eye * splats.factor).astype(np.float32)
     nearest = np.empty(len(splats.bounds), np.float32)
     rectangles = np.empty((6, len(splats.bounds), 4), np.int16)
@@ -201,6 +257,7 @@ def look_around(
     best = np.zeros(2 * splats.total, np.float32)
     kernels.splat_squares(
         (splats.near, splats.covars, splats.columns, splats.ids),
+        (words, np.float32(search.least)),
         at,
         size,
         np.float32(spent),
@@ -208,6 +265,7 @@ def look_around(
         rectangles,
         lists,
         counts,
+        squares,
         best,
         light,
         depths,
@@ -216,6 +274,34 @@ def look_around(
     if splats.factor != 1.0:
         depths /= np.float32(splats.factor)
     return Seen(ids, weights, clear, ZBuffer(eye, spent, depths, light))
+
+
+def squares_around(splats: Splats, viewpoint: ArrayLike, ids: ArrayLike, size: int) -> Mask:
+    """Find the squares of pixels around an eye that some Gaussians may reach.
+
+    Args:
+        splats: The scene.
+        viewpoint: (3,) world frame.
+        ids: (K,) Gaussians of the scene; those that cannot be visible are left out.
+        size: S, pixels along a side of the six faces.
+
+    Returns:
+        (6, T, T) mask of the T = ceil(S / 64) squares along a side, by face, row and column. Conservative: the ball
+        around each Gaussian is taken.
+    """
+    eye = _check.floats("viewpoint", viewpoint, (3,), np.float64)
+    some = np.zeros(splats.total, bool)
+    some[_check.integers("ids", ids, ("K",))] = True
+    near = splats.near[some[splats.ids]]
+    reach = near[:, 3] * near[:, 4]
+    bounds = np.concatenate([near[:, :3], near[:, :3], reach[:, None], near[:, 4:5]], axis=1)
+    rectangles = np.empty((6, len(near), 4), np.int16)
+    at = (eye * splats.factor).astype(np.float32)
+    clusters.place_clusters(bounds, at, size, np.empty(len(near), np.float32), rectangles)
+    count = -(-size // kernels.SQUARE)
+    squares = np.zeros((6, count, count), bool)
+    clusters.mark_squares(rectangles, kernels.SQUARE, squares)
+    return squares
 
 
 def _in_order(g: Gaussians, ids: I64) -> I64:

@@ -39,7 +39,7 @@ __all__ = ["VERSIONS", "StageRecord", "Stages", "hash_levels"]
 
 VERSIONS = {
     "levels": 9,
-    "sets": 6,
+    "sets": 7,
     "joined": 3,
     "colors": 5,
     "epsilon": 1,

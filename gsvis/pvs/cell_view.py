@@ -20,6 +20,7 @@ from gsvis.pvs._kernels import cell as kernels
 from gsvis.pvs.aim import Aim, share_of_centers
 from gsvis.pvs.certificate import Certificate, CertificateConfig
 from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.look import LookOptions
 from gsvis.pvs.prepared import PreparedLevels
 from gsvis.pvs.probes import Tips, farthest_points
 from gsvis.pvs.sightings import FaintOnes, Sighting
@@ -174,21 +175,25 @@ class Finder:
         """Return the union ids that a viewpoint (3,) sees in a level, and their classes."""
         return self._see(level, viewpoint)
 
-    def _see(self, level: int, viewpoint: F64, *, fine: bool = True, floor: float | None = None) -> tuple[I64, I8]:
+    def _see(self, level: int, viewpoint: F64, *, fine: bool = True) -> tuple[I64, I8]:
         """Return the union ids that a viewpoint sees in a level, and their classes."""
         finer = self._finer(level, viewpoint)
+        options = LookOptions(
+            size=self._pixels(level, finer, fine=fine),
+            floor=self.config.tau,
+            faint=self._classes.faintest,
+            hull=finer == 1.0,  # its z-buffer takes memory
+        )
+        prepared = self._prepared[level]
+        ids, weights = prepared.look(viewpoint, options)
+        return prepared.ids[ids], self._classes.of(weights)
+
+    def _pixels(self, level: int, finer: float, *, fine: bool = True) -> int:
+        """Return the pixels along a side of the faces of a look."""
         size = self.config.size
         if level < len(self.levels) - 1:
-            pixels = finer * min(size, self.config.lower_size)
-        elif fine:
-            pixels = max(1.0, _SMALLER * finer) * size
-        else:
-            pixels = max(4.0, _COARSE * finer * size)
-        faint = self._classes.faintest if floor is None else None
-        prepared = self._prepared[level]
-        hull = finer == 1.0  # its z-buffer takes memory
-        ids, weights = prepared.look(viewpoint, size=round(pixels), floor=floor, faint=faint, hull=hull)
-        return prepared.ids[ids], self._classes.of(weights)
+            return round(finer * min(size, self.config.lower_size))
+        return round(max(1.0, _SMALLER * finer) * size if fine else max(4.0, _COARSE * finer * size))
 
     def _finer(self, level: int, viewpoint: F64) -> float:
         """Return the factor by which the faces around a viewpoint are finer, if most directions show the void.
@@ -206,8 +211,8 @@ class Finder:
     def _probe(self, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> int:
         """Add missing Gaussians that are seen from the tips of the cell and from points far from all eyes.
 
-        Probes are coarse looks at the highest level. If one finds missing light, its eye looks finely, and coarsely at
-        lower levels.
+        Probes are coarse looks at the highest level. If one finds missing light, its eye looks finely
+        there, at all levels.
 
         Returns:
             Number of fine looks.
@@ -237,24 +242,43 @@ class Finder:
         return looks
 
     def _look_closer(self, eye: F64, view: _Growing) -> bool:
-        """Add missing Gaussians that an eye sees; return whether there were enough for a fine look."""
-        top = len(self.levels) - 1
-        if self._glance(top, eye, view) < _PROBE_LOSS:
+        """Add missing Gaussians that an eye sees; return whether there were enough for fine looks.
+
+        Fine looks are only where a coarse look at the highest level found something missing.
+        """
+        missing = self._glance(eye, view)
+        if missing is None:
             return False
-        view.add(*self._see(top, eye, floor=_FINE_FLOOR * self.config.tau), eye[None])
-        for level in range(top):
-            if not self._prepared[level].certifier.solid.buries(eye[None])[0]:
-                self._glance(level, eye, view)
+        top = len(self.levels) - 1
+        for level in range(top + 1):
+            prepared = self._prepared[level]
+            if level < top and prepared.certifier.solid.buries(eye[None])[0]:
+                continue
+            size = self._pixels(level, self._finer(level, eye))
+            squares = self._prepared[top].look.squares(eye, missing, size)
+            options = LookOptions(size=size, floor=_FINE_FLOOR * self.config.tau, hull=squares is None, squares=squares)
+            ids, weights = prepared.look(eye, options)
+            view.add(prepared.ids[ids], self._classes.of(weights), eye[None])
         return True
 
-    def _glance(self, level: int, eye: F64, view: _Growing) -> float:
-        """Add missing Gaussians that an eye sees coarsely in a level; return the sum of their weights."""
-        prepared = self._prepared[level]
-        ids, weights = prepared.look(eye, size=min(_PROBE_SIZE, self.config.size), floor=_PROBE_FLOOR)
+    def _glance(self, eye: F64, view: _Growing) -> I64 | None:
+        """Add missing Gaussians that an eye sees coarsely in the highest level.
+
+        Returns:
+            Numbers (K,) in the level of all missing Gaussians, the faint ones too; None if they have little weight.
+        """
+        prepared = self._prepared[len(self.levels) - 1]
+        faint = _FINE_FLOOR * self.config.tau
+        known = view.best[prepared.ids] >= 0
+        options = LookOptions(
+            size=min(_PROBE_SIZE, self.config.size), floor=max(_PROBE_FLOOR, faint), faint=faint, known=known
+        )
+        ids, weights = prepared.look(eye, options)
+        missing = ~known[ids]
+        much = missing & (weights >= _PROBE_FLOOR)
         places = prepared.ids[ids]
-        missing = view.best[places] < 0
-        view.add(places[missing], self._classes.of(weights[missing]), eye[None])
-        return float(weights[missing].sum())
+        view.add(places[much], self._classes.of(weights[much]), eye[None])
+        return ids[missing] if weights[much].sum() >= _PROBE_LOSS else None
 
     def _mend(self, level: int, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> _Mended:
         """Certify a level of a cell and add missing Gaussians, stage by stage."""

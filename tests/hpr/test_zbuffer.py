@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba import get_num_threads, set_num_threads
 
-from gsvis.hpr import Seen, Splats, hybrid, look_around
+from gsvis.hpr import Search, Seen, Splats, hybrid, look_around, squares_around
 from gsvis.hpr.reference import look_around_reference
 from gsvis.hpr.zbuffer import ZBuffer
 from gsvis.scene.cameras import Cameras
@@ -170,6 +170,80 @@ def test_without_a_buffer_the_same_is_found(size: int) -> None:
         assert without.zbuffer.size == 0
 
 
+@pytest.mark.parametrize("size", [40, 200])
+def test_in_some_squares_their_gaussians_are_seen_as_everywhere(size: int) -> None:
+    g = around(900, 4)
+    splats = Splats.from_gaussians(g)
+    eye = np.array([0.2, -0.1, 0.3])
+    some = np.arange(0, 900, 150)
+    squares = squares_around(splats, eye, some, size)
+    everywhere = look_around(splats, eye, size=size, buffer=False)
+    there = look_around(splats, eye, size=size, buffer=False, search=Search(squares=squares))
+    for ours, theirs in zip(dense(there, 900), dense(everywhere, 900), strict=True):
+        np.testing.assert_array_equal(ours[some], theirs[some])
+        assert (ours <= theirs).all()
+    if size == 200:
+        assert 0 < squares.sum() < squares.size
+        assert len(there.ids) < len(everywhere.ids)
+
+
+def test_no_square_holds_what_cannot_be_seen_or_nothing() -> None:
+    g = Gaussians([[1, 0, 0], [0, 2, 0]], [[1, 0, 0, 0]] * 2, [[0.01] * 3] * 2, [0.003, 0.9], np.zeros((2, 1, 3)))
+    splats = Splats.from_gaussians(g)
+    assert not squares_around(splats, np.zeros(3), [], 100).any()
+    assert not squares_around(splats, np.zeros(3), [0], 100).any()
+    found = squares_around(splats, np.zeros(3), [0, 1], 192)
+    assert np.argwhere(found).tolist() == [[2, 1, 1]]  # the middle of the face along +y
+
+
+def sheets_of_specks(count: int) -> Gaussians:
+    """Two sheets of specks at distances 2 and 2.5 on the +x side, and behind them a few larger Gaussians."""
+    rng = np.random.default_rng(0)
+    means = np.column_stack([rng.choice([2.0, 2.5], count), rng.uniform(-2.0, 2.0, (count, 2))])
+    beyond = np.column_stack([np.full(9, 3.5), rng.uniform(-1.5, 1.5, (9, 2))])
+    means = np.concatenate([means, beyond])
+    scales = np.concatenate([np.full((count, 3), 0.004), np.full((9, 3), 0.1)])
+    quats = np.tile([1.0, 0.0, 0.0, 0.0], (len(means), 1))
+    return Gaussians(means, quats, scales, np.full(len(means), 0.9), np.zeros((len(means), 1, 3)))
+
+
+def test_thinned_specks_take_the_light_that_all_of_them_take() -> None:
+    count = 60_000
+    g = sheets_of_specks(count)
+    splats = Splats.from_gaussians(g)
+    known = np.arange(len(g)) < count
+    looks = [
+        look_around(splats, np.zeros(3), size=64, search=Search(known=mask, least=0.3))
+        for mask in (known, np.zeros(len(g), bool), None)
+    ]
+    looks.append(look_around(splats, np.zeros(3), size=64))
+    thinned, *_, whole = (dense(seen, len(g)) for seen in looks)
+    behind = slice(count, None)
+    assert 0.2 < whole[1][behind].mean() < 0.9  # light that passes the sheets
+    np.testing.assert_allclose(thinned[0][behind], whole[0][behind], rtol=0.25)  # the largest of a few pixels: noisy
+    left, right = (seen.zbuffer.light[0, 20:-20, 20:-20].mean() for seen in (looks[0], looks[-1]))
+    assert left == pytest.approx(right, rel=0.03)
+    assert len(looks[0].ids) < 0.2 * len(looks[-1].ids)
+    # a speck of this size has a weight below 0.3, so it is thinned whether it is known or not
+    for seen in looks[1:3]:
+        np.testing.assert_array_equal(seen.ids, looks[0].ids)
+
+
+def test_what_is_large_enough_to_be_found_is_never_thinned() -> None:
+    count = 20_000
+    g = sheets_of_specks(count)
+    splats = Splats.from_gaussians(g)
+    some = np.random.default_rng(1).random(len(g)) < 0.5
+    whole = dense(look_around(splats, np.zeros(3), size=64), len(g))[0]
+    least = 0.5 * float(whole[:count].max())
+    seen = look_around(splats, np.zeros(3), size=64, search=Search(known=some, least=least))
+    found = dense(seen, len(g))[0]
+    sought = ~some & (whole >= least)
+    assert sought[:count].sum() > 1000
+    assert (found[sought] > 0.0).all()
+    np.testing.assert_allclose(found[sought], whole[sought], rtol=0.3)  # each where its own light is
+
+
 def test_fainter_gaussians_come_beside_those_that_are_found_without_them() -> None:
     g = random_scene(np.random.default_rng(3), 3000)
     splats, eye = Splats.from_gaussians(g), g.means.mean(axis=0)
@@ -213,6 +287,9 @@ def test_the_hybrid_holds_what_the_z_buffer_sees() -> None:
         ({"spent": 0.0}, "spent: expected a transmittance"),
         ({"viewpoint": [np.nan, 0, 0]}, "viewpoint: expected finite"),
         ({"viewpoint": [0, 0]}, "viewpoint: expected shape"),
+        ({"search": Search(squares=np.zeros((6, 4, 4), bool))}, "buffer: expected False with squares"),
+        ({"search": Search(squares=np.ones((6, 2, 2), bool))}, r"squares: expected shape \(6, 4, 4\)"),
+        ({"search": Search(known=np.ones(6, bool))}, r"known: expected shape \(5,\)"),
     ],
 )
 def test_bad_arguments(change: dict[str, Any], message: str) -> None:

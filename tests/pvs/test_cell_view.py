@@ -19,7 +19,7 @@ from gsvis.pvs import PvsConfig, cell_view
 from gsvis.pvs._journal import pack_sighting, pack_view
 from gsvis.pvs.cell_view import CellView, Finder
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.look import METHODS, Look
+from gsvis.pvs.look import METHODS, Look, LookOptions
 from gsvis.pvs.sightings import Sighting
 from gsvis.pvs.viewpoints import CellViewpoints, FreeVoxels, SharedViewpoints
 from gsvis.pvs.weight_classes import FAINTEST
@@ -489,9 +489,9 @@ def note_looks(monkeypatch: pytest.MonkeyPatch) -> list[tuple[bytes, int]]:
     looks: list[tuple[bytes, int]] = []
     look = Look.__call__
 
-    def noted(self: Look, viewpoint: F64, **how: Any) -> Any:
-        looks.append((viewpoint.tobytes(), how["size"]))
-        return look(self, viewpoint, **how)
+    def noted(self: Look, viewpoint: F64, options: LookOptions) -> Any:
+        looks.append((viewpoint.tobytes(), options.size))
+        return look(self, viewpoint, options)
 
     monkeypatch.setattr(Look, "__call__", noted)
     return looks

@@ -124,3 +124,16 @@ def list_clusters(order, rectangles, lists, counts):
                 lists[face, count] = c
                 count += 1
         counts[face] = count
+
+
+@kernel
+def mark_squares(rectangles, side, squares):
+    """Mark the squares of `side` x `side` pixels that rectangles (6, B, 4) meet in squares (6, T, T)."""
+    for face in range(6):
+        for k in range(rectangles.shape[1]):
+            place = rectangles[face, k]
+            if place[0] > place[1] or place[2] > place[3]:
+                continue
+            for row in range(place[2] // side, place[3] // side + 1):
+                for column in range(place[0] // side, place[1] // side + 1):
+                    squares[face, row, column] = True

@@ -7,6 +7,9 @@ under it has light left. Skipping changes no result. Faces as in `sphere.py`.
 A blurred splat is wider than its Gaussian. It takes only the share of a pixel's light that the Gaussian covers, the
 ratio of the two areas; else splats smaller than a pixel would close the gaps between them. Its weight is the geometric
 mean of what the Gaussian takes, which a ray finds, and of what the blurred splat takes, which an image shows.
+
+Gaussians that are known, or too small to be found, only take light. Specks among them are thinned: one of 2, 4, 8 or 16
+neighbors takes the light of all (Cook et al. 2007, "Stochastic simplification of aggregate detail").
 """
 
 from __future__ import annotations
@@ -34,7 +37,10 @@ _ONE = np.float32(1.0)
 _HALF = np.float32(0.5)
 _NONE = np.uint64(0)
 _ALL = np.uint64(2**64 - 1)
-_LOW = np.uint64(2**32 - 1)
+_ROW = np.uint64(2**29 - 1)  # bits of a key that hold the row; above them the power of two for which it stands
+_STANDS = np.uint64(29)
+_MOST_STANDS = 4
+_SPECKS = np.float32(0.25)  # most of a pixel's light that a speck may take for others
 _UPPER = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # entries of a covariance among the six that are kept
 
 
@@ -132,12 +138,29 @@ def _frame_box(lit, extent, corner):
     return column + np.float32(x0), column + np.float32(x1), row + np.float32(y0), row + np.float32(y1)
 
 
+@inner
+def _row_of(key):
+    """Return the row of a key."""
+    return np.int64(key & _ROW)
+
+
+@inner
+def _stands_for(cover):
+    """Return the power of two of specks of this cover for which one may stand."""
+    power = 0
+    while power < _MOST_STANDS and np.float32(2 << power) * cover <= _SPECKS:
+        power += 1
+    return power
+
+
 @uncounted
-def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
+def _meet(columns, sought, eye, face, corner, extent, half, c, lit, box, keys, held):
     """Add the members of cluster c that may reach a lit pixel of the square to the keys; return their number.
 
-    A key holds the bits of the squared distance, then the row. No lit pixel lies outside `box`.
+    A key holds the bits of the squared distance, the power of two of specks for which the member stands, and the row.
+    No lit pixel lies outside `box`.
     """
+    known, least = sought
     axis = face >> 1
     au = 1 if axis == 0 else 0
     av = 1 if axis == 2 else 2
@@ -157,7 +180,16 @@ def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
             cv = min(max(tv, -clamp), clamp)
             wide = columns[c, 3, k] * half * inverse
             sigmas = columns[c, 4, k]
-            radius = math.sqrt(wide * wide * (_ONE + cu * cu + cv * cv) + sigmas * sigmas * np.float32(DILATION))
+            skew = _ONE + cu * cu + cv * cv
+            stands = 0
+            if least > np.float32(0.0):
+                area = wide * wide / (sigmas * sigmas) * skew
+                cover = area / (area + np.float32(DILATION))
+                if (known[c] >> np.uint64(k)) & np.uint64(1) != _NONE or cover < least * least:
+                    stands = _stands_for(cover)
+                    if k & ((1 << stands) - 1) != 0:
+                        continue
+            radius = math.sqrt(wide * wide * skew + sigmas * sigmas * np.float32(DILATION))
             x0, x1 = _pixels(half * tu + half - corner[0], radius, extent[0])
             y0, y1 = _pixels(half * tv + half - corner[1], radius, extent[1])
             if x0 > x1 or y0 > y1 or not _any_lit(lit, x0, x1, y0, y1):
@@ -165,14 +197,16 @@ def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
             dx = columns[c, 0, k] - eye[0]
             dy = columns[c, 1, k] - eye[1]
             dz = columns[c, 2, k] - eye[2]
-            keys[held] = (bits_of(dx * dx + dy * dy + dz * dz) << np.uint64(32)) | np.uint64(c * CLUSTER + k)
+            row = np.uint64(c * CLUSTER + k) | (np.uint64(stands) << _STANDS)
+            keys[held] = (bits_of(dx * dx + dy * dy + dz * dz) << np.uint64(32)) | row
             held += 1
     return held
 
 
 @uncounted
-def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square, lit, most, best):
-    """Splat Gaussian i onto a square; return the number of pixels whose light it ends."""
+def _splat(near, covars, ids, eye, face, corner, extent, half, spent, key, square, lit, most, best):
+    """Splat the Gaussian of a key onto a square; return the number of pixels whose light it ends."""
+    i = _row_of(key)
     axis = face >> 1
     au = 1 if axis == 0 else 0
     av = 1 if axis == 2 else 2
@@ -215,6 +249,8 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square,
     y0, y1 = _pixels(py, math.sqrt(level * syy), extent[1])
     if x0 > x1 or y0 > y1:
         return 0
+    stands = np.float32(1 << ((np.int64(key) >> np.int64(_STANDS)) & 7))
+    taken = min(stands * np.float32(cover), _ONE)
     qa = -0.5 * _LOG2_E * a
     qb = -_LOG2_E * b
     qc = -0.5 * _LOG2_E * c
@@ -233,9 +269,7 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square,
                 np.float32(qb),
                 np.float32(qc),
             )
-            darkened += blend_block(
-                square, lit, form, spent, np.float32(cover), far, x, y, min(y1 + 1 - y, LANES), most
-            )
+            darkened += blend_block(square, lit, form, spent, taken, far, x, y, min(y1 + 1 - y, LANES), most)
     weight = take_largest(most, 0) * np.float32(math.sqrt(cover))
     clear = take_largest(most, 1)
     if clear >= spent:
@@ -280,11 +314,12 @@ def _load_row(near, covars, ids, i):
 
 
 @uncounted
-def _collect(columns, eye, face, corner, extent, half, nearest, rectangles, order, lit, keys, at, held):
+def _collect(columns, sought, eye, face, corner, extent, half, nearest, rectangles, order, lit, keys, at, held):
     """Add members of the next clusters to the keys, until there are enough for a round or no room is left.
 
     Args:
         columns: Of the `Splats`.
+        sought: As in `splat_squares`.
         eye: (3,) float32.
         face: Number of the face.
         corner: First column and row of the square.
@@ -318,7 +353,7 @@ def _collect(columns, eye, face, corner, extent, half, nearest, rectangles, orde
             return at, held, bits_of(nearest[c]) << np.uint64(32)
         at += 1
         if _any_lit(lit, x0, x1, y0, y1):
-            held = _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held)
+            held = _meet(columns, sought, eye, face, corner, extent, half, c, lit, box, keys, held)
     return at, held, _ALL
 
 
@@ -341,21 +376,22 @@ def _divide(keys, held, horizon, ready):
 def _splat_all(near, covars, ids, eye, face, corner, extent, half, spent, keys, count, square, lit, most, best, left):
     """Splat the Gaussians of the first `count` keys in order; return the number of pixels that have light left."""
     for k in range(min(count, _AHEAD)):
-        _load_row(near, covars, ids, np.int64(keys[k] & _LOW))
+        _load_row(near, covars, ids, _row_of(keys[k]))
     for k in range(count):
         if k + _AHEAD < count:
-            _load_row(near, covars, ids, np.int64(keys[k + _AHEAD] & _LOW))
+            _load_row(near, covars, ids, _row_of(keys[k + _AHEAD]))
         if k + _SOON < count:
-            prefetch(best, 2 * ids[np.int64(keys[k + _SOON] & _LOW)])
-        i = np.int64(keys[k] & _LOW)
-        left -= _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square, lit, most, best)
+            prefetch(best, 2 * ids[_row_of(keys[k + _SOON])])
+        left -= _splat(near, covars, ids, eye, face, corner, extent, half, spent, keys[k], square, lit, most, best)
         if left == 0:
             break
     return left
 
 
 @inner
-def _fill(scene, eye, face, corner, extent, half, spent, nearest, rectangles, order, square, lit, most, room, best):
+def _fill(
+    scene, sought, eye, face, corner, extent, half, spent, nearest, rectangles, order, square, lit, most, room, best
+):
     """Splat the clusters in `order` onto one square until no light is left. Returns the working arrays, perhaps grown.
 
     `room` is (waiting, ready, spare): keys of Gaussians that farther ones may still precede, and arrays to sort in.
@@ -370,7 +406,7 @@ def _fill(scene, eye, face, corner, extent, half, spent, nearest, rectangles, or
         if held + _ROUND + CLUSTER > len(waiting):
             waiting = _enlarge(waiting, held)
         at, held, horizon = _collect(
-            columns, eye, face, corner, extent, half, nearest, rectangles, order, lit, waiting, at, held
+            columns, sought, eye, face, corner, extent, half, nearest, rectangles, order, lit, waiting, at, held
         )
         while len(ready) < held:
             ready = _enlarge(ready, held)
@@ -384,14 +420,19 @@ def _fill(scene, eye, face, corner, extent, half, spent, nearest, rectangles, or
     return waiting, ready, spare
 
 
-@in_threads(lambda scene, eye, size, *_: 6 * ((size + SQUARE - 1) // SQUARE) ** 2)
+@in_threads(lambda scene, sought, eye, size, *_: 6 * ((size + SQUARE - 1) // SQUARE) ** 2)
 @kernel(error_model="numpy")
-def splat_squares(taken, scene, eye, size, spent, nearest, rectangles, lists, counts, best, light, depths):
-    """Splat front to back all that each face may see.
+def splat_squares(
+    taken, scene, sought, eye, size, spent, nearest, rectangles, lists, counts, wanted, best, light, depths
+):
+    """Splat front to back all that each face may see, in the squares that are wanted.
 
     Args:
         taken: (1,) int64, counter of the squares taken; callers omit it.
         scene: `near`, `covars`, `columns` and `ids` of the `Splats`.
+        sought: What is looked for: (B,) uint64 for each cluster, bit k set if its member k is known, so that its weight
+            does not count; and float32, the least weight that counts. Specks that do not count are thinned; 0 thins
+            nothing.
         eye: (3,) float32.
         size: S.
         spent: float32.
@@ -399,6 +440,7 @@ def splat_squares(taken, scene, eye, size, spent, nearest, rectangles, lists, co
         rectangles: (6, B, 4) int16, where each cluster lies.
         lists: (6, B) int64, the clusters of each face, nearest first.
         counts: (6,) int64, number of clusters of each face.
+        wanted: (6, T, T) bool, squares to splat, by face, row and column; others keep their light.
         best: (2 N,) float32, zeros; receives for each Gaussian the largest share of a pixel's light that it takes and
             the largest light in front, over pixels that are not spent.
         light: (6, S, S) float32, receives the light left behind everything, or the first value below `spent`; (6, 0, 0)
@@ -423,11 +465,15 @@ def splat_squares(taken, scene, eye, size, spent, nearest, rectangles, lists, co
         corner[0] = x
         corner[1] = y
         extent[0], extent[1] = min(size - x, SQUARE), min(size - y, SQUARE)
+        if not wanted[face, turn // side % side, turn % side]:
+            turn = take_next(taken)
+            continue
         if light.shape[1] == 0 and not _is_reached(rectangles[face], lists[face, : counts[face]], corner, extent):
             turn = take_next(taken)
             continue
         room = _fill(
             scene,
+            sought,
             eye,
             face,
             corner,
@@ -466,3 +512,13 @@ def take_found(best):
             best[2 * i + 1] = 0.0
             at += 1
     return ids, values
+
+
+@kernel
+def pack_known(known, ids, words):
+    """Write for each cluster of rows a word (B,) with bit k set if Gaussian ids[64 b + k] is known (N,)."""
+    for b in range(len(words)):
+        word = _NONE
+        for i in range(b * CLUSTER, min((b + 1) * CLUSTER, len(ids))):
+            word |= np.uint64(known[ids[i]]) << np.uint64(i - b * CLUSTER)
+        words[b] = word
