@@ -1,14 +1,15 @@
 """How many bytes does a Gaussian take, if records are rounded as coarsely as images keep 48 dB?
 
-A scene is written as one level, with all bits and rounded by `choose_limits` (`gsvis prepare --record-psnr`). Bytes on
-disk are those of records, rows of chunks and terms; on the wire those of records and terms, without ids and rows. The
-judge's eyes are anywhere, and those of standing people, by other seeds and with other fields of view than in the
-choice.
+A scene is written as one level: with all bits, and rounded by `choose_limits` (`gsvis prepare --record-psnr`), with
+colors as they were and with colors that are learned for rounded records. Bytes on disk are those of records, rows of
+chunks and terms; on the wire those of records and terms, without ids and rows. The judge's eyes are anywhere, and those
+of standing people, by other seeds and with other fields of view than in the choice.
 
 Given: --scenes, by NAME:LOD, or files of scenes; --wanted dB; --mean-terms of fitted colors.
 Measured: bytes a Gaussian on disk and on the wire; PSNR, mean and worst, of records against what was fitted, and
     against the scene (its spherical harmonics).
-Defaults chosen on: nika LOD 1 (how many bits each kind of field lacks).
+Defaults chosen on: nika LOD 1 (how many bits each kind of field lacks); nika LOD 2, flowers LOD 2 and a bonsai (rates
+    of learning).
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ from gsvis.color.evaluate import Evaluator
 from gsvis.io import load_scene
 from gsvis.package import Contents, PackageOrder, in_package_order
 from gsvis.package.blocks import bytes_of_blocks
-from gsvis.package.rounding import Limits, rounded_contents
+from gsvis.package.rounding import rounded_contents
 from gsvis.prepare import PrepareConfig
-from gsvis.prepare.record_limits import cameras_of_choice, choose_limits
+from gsvis.prepare.record_limits import RecordLimits, cameras_of_choice, choose_limits
+from gsvis.prepare.rounded_colors import RecordLesson
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -80,16 +82,20 @@ def measure(scene: str, options: argparse.Namespace) -> list[dict[str, Any]]:
     exact = fitted(single.union, space, options.mean_terms)[PackageOrder.from_levels(single).permutation]
     levels = in_package_order(single)
     packed = quantize(exact)
-    chosen = choose_limits(
-        levels, exact, packed, cameras_of_choice(levels, space, PrepareConfig.cost_views), options.wanted
-    )
+    choice = cameras_of_choice(levels, space, PrepareConfig.cost_views)
+    lesson = RecordLesson.draw(levels, exact, packed, space)
+    chosen = choose_limits(levels, exact, packed, choice, options.wanted)
+    learned = choose_limits(levels, exact, packed, choice, options.wanted, lesson=lesson)
     judges = {rule: views.cameras(levels, space) for rule, views in JUDGES.items()}
     fit = {rule: drawn(levels.union, exact, cameras) for rule, cameras in judges.items()}
     source = {rule: drawn(levels.union, None, cameras) for rule, cameras in judges.items()}
     rows = []
-    ways: dict[str, Limits | None] = {"all bits": None, f"{options.wanted:g} dB": chosen.limits}
-    for way, limits in ways.items():
-        contents = rounded_contents(levels, packed, limits)
+    ways: dict[str, RecordLimits | None] = {"all bits": None, f"{options.wanted:g} dB": chosen}
+    ways[f"{options.wanted:g} dB, learned"] = learned
+    for way, each in ways.items():
+        limits = None if each is None else each.limits
+        colors = packed if each is None or each.colors is None else each.colors
+        contents = rounded_contents(levels, colors, limits)
         row: dict[str, Any] = {"scene": scene.rsplit("/", 1)[-1], "way": way, "gaussians": len(contents)}
         row |= {"terms_each": len(contents.term_records) / len(contents), **bytes_of(contents)}
         for rule, cameras in judges.items():

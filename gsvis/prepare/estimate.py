@@ -22,10 +22,12 @@ from gsvis.prepare.coded_size import bytes_of_record
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.memory import kept_memory, left_for_sets
 from gsvis.prepare.prepare import stages_of
+from gsvis.prepare.record_limits import LEARNED_TRIES
+from gsvis.prepare.rounded_colors import STEPS
 from gsvis.prepare.stage_colors import count_color_steps, name_colors, round_colors
 from gsvis.prepare.stage_levels import name_levels, reuse_levels
 from gsvis.prepare.stage_quality import name_cost, name_fidelity
-from gsvis.prepare.stage_records import name_epsilon, run_epsilon
+from gsvis.prepare.stage_records import learns_rounded, name_epsilon, run_epsilon
 from gsvis.prepare.stage_sets import find_shipped_sets, name_sets
 from gsvis.prepare.stages import Stages
 from gsvis.prepare.trial import StageTrial
@@ -269,7 +271,13 @@ class _Estimator:
             return
         what = f"{2 * self.config.cost_views.count:,} views by each rule, several times"
         done = exact is not None and self.stages.work.whole(name_cost(self.stages, self.levels, exact))
-        seconds = 0.0 if done else _ROUNDING * self.trial.cost()
+        seconds = 0.0
+        if not done:
+            seconds += _ROUNDING * self.trial.cost()
+        if learns_rounded(self.stages):
+            steps = LEARNED_TRIES * STEPS
+            seconds += 0.0 if done else self.trial.learning(steps, photos=False)
+            what += f"; {steps:,} steps of learning"
         self.found.append(StageEstimate("rounding", "done" if done else "to do", what, seconds, 100))
 
     def _cost(self, exact: SrbfColors | None) -> None:

@@ -8,6 +8,7 @@ from gsvis.jobs.cost import COARSER, memory_error
 from gsvis.jobs.workers import Workers
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.learned_colors import steps_of_learning
+from gsvis.prepare.rounded_colors import LESSON, STEPS
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.memory import expected_memory
 from gsvis.scene.levels import Levels
@@ -51,7 +52,11 @@ def lesson_memory(config: PrepareConfig, gaussians: int, sh_degree: int, images:
         images: Bytes of photos to learn from; 0 if there are none.
     """
     steps = steps_of_learning(config.color_steps, photos=images > 0, renders=sh_degree > 0)
-    return _TORCH + _LEARNED * gaussians + images if steps else 0
+    kept = images if steps else 0
+    if config.colors.record_psnr is not None and config.color_steps != 0:
+        steps += STEPS
+        kept = max(kept, _image_bytes(LESSON))
+    return _TORCH + _LEARNED * gaussians + kept if steps else 0
 
 
 def _image_bytes(sampling: ViewSampling) -> int:

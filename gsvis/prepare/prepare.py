@@ -114,8 +114,8 @@ def prepare_package(
         about: JSON values to store in the provenance of the package.
         workers: The workers that build visible sets; None means this process.
         progress: Called with the stages "order", or "views" or "photos", "prune", "train NAME" and "measure"; then with
-            "cells", "store", "importance", "price", "fit", "epsilon", "rounding", "cost", "fidelity",
-            "judge", "fill", "terms" and "package".
+            "cells", "store", "importance", "price", "fit", "learn", "epsilon", "rounding", "cost",
+            "fidelity", "judge", "fill", "terms" and "package".
 
     Returns:
         The manifest of the package, and what each stage did.
@@ -165,7 +165,7 @@ def finish_package(
             exact = colors.exact
             packed = round_colors(stages, exact)
             epsilon = run_epsilon(stages, levels, packed)
-            limits = run_rounding(stages, levels, exact, packed)
+            limits, packed = run_rounding(stages, levels, exact, packed)
             cost = run_cost(stages, levels, exact, packed, limits)
             contents = rounded_contents(levels, packed, limits)
             shipped = ship_sets(stages, store)

@@ -1,8 +1,9 @@
 """Choose how coarsely records are rounded: the coarsest whose images still have a wanted PSNR, in views drawn for it.
 
 All kinds of fields lose bits together, so one number is searched; with and without rounded places where centers lie on
-a lattice, and the smaller result is kept. Images are compared with those of exact colors and Gaussians. The views are
-drawn apart from those that measure the cost of rounding afterwards.
+a lattice, and the smaller result is kept. Then colors may be learned for rounded records, so that still coarser ones
+are good enough. Images are compared with those of exact colors and Gaussians. The views are drawn apart from those that
+measure the cost of rounding afterwards.
 """
 
 from __future__ import annotations
@@ -19,7 +20,16 @@ from gsvis.color.records import QuantizedColors
 from gsvis.color.srbf import SrbfColors
 from gsvis.package import Contents, Spread
 from gsvis.package.blocks import bytes_of_blocks
-from gsvis.package.rounding import Limits, Quality, limits_of, round_records, round_terms
+from gsvis.package.rounding import (
+    MOST_STEP,
+    Limits,
+    Quality,
+    limits_of,
+    round_records,
+    round_terms,
+    rounded_contents,
+)
+from gsvis.prepare.rounded_colors import RecordLesson, cameras_by_rules
 from gsvis.progress import Progress, silent
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
@@ -27,24 +37,23 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
-from gsvis.train.photos import load_photo_cameras
 
-__all__ = ["RecordLimits", "cameras_of_choice", "choose_limits", "search_limits"]
+__all__ = ["LEARNED_TRIES", "RecordLimits", "cameras_of_choice", "choose_limits", "search_limits"]
 
 F32 = NDArray[np.float32]
 
 FINEST = 4.0
 """Most bits that records have more than those of `Quality()`; with still more, hardly one lacks a bit."""
 
-WIDE = 80.0
-"""Degrees that eyes of standing people see in the choice."""
+LEARNED_TRIES = 4
+"""Number of roundings for which colors are learned."""
 
 _TRIES = 6
-_EVERY = 8
 _BELOW = 5.0  # dB that a view may have less than wanted
+_LEARNED_BITS = 1.0  # that learning may save of every field at the most
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RecordLimits:
     """How records are rounded, and what that costs in the views of the choice.
 
@@ -53,12 +62,14 @@ class RecordLimits:
         finer: Bits more than `Quality()`.
         psnr: Mean PSNR of the views by the rule with the least, dB.
         worst: Least PSNR of a view, dB.
+        colors: Colors that were learned for records that are rounded so; None if none were.
     """
 
     limits: Limits | None
     finer: float
     psnr: float
     worst: float
+    colors: QuantizedColors | None = None
 
 
 def cameras_of_choice(
@@ -76,14 +87,8 @@ def cameras_of_choice(
         SceneError: If too few viewpoints lie outside of solid parts.
         FormatError: If the photographs have no model, or it is malformed.
     """
-    anywhere = replace(views, count=2 * views.count, stream=views.stream + 6)
-    rules = anywhere, replace(anywhere, fov=max(views.fov, WIDE), standing=1.0)
-    found = [rule.cameras(levels, space) for rule in rules]
-    if photos is not None:
-        poses = load_photo_cameras(photos)
-        taken = poses[np.flatnonzero(np.arange(len(poses)) % _EVERY)] if len(poses) > 1 else poses
-        found.append(taken.evenly(anywhere.count).resize(views.width, views.height))
-    return found
+    apart = replace(views, count=2 * views.count, stream=views.stream + 6)
+    return cameras_by_rules(levels, space, apart, photos)
 
 
 def choose_limits(
@@ -93,6 +98,7 @@ def choose_limits(
     cameras: Sequence[Cameras],
     wanted: float,
     *,
+    lesson: RecordLesson | None = None,
     progress: Progress = silent,
 ) -> RecordLimits:
     """Return the coarsest rounding with the wanted mean PSNR by every rule, and no view more than 5 dB below it.
@@ -103,7 +109,8 @@ def choose_limits(
         packed: Colors of the union after rounding to tables.
         cameras: Views by each of R > 0 rules, at least one by each.
         wanted: Least mean PSNR, dB.
-        progress: Called with stage "rounding", in tries.
+        lesson: What colors of rounded records are learned from, of the same levels and colors; None learns none.
+        progress: Called with stages "rounding", in tries, and with a lesson "learn".
 
     Raises:
         ValueError: If a rule has no camera, or lengths do not match.
@@ -124,7 +131,52 @@ def choose_limits(
             found.append(Spread.from_values([min(100.0, float(psnr(a, b))) for a, b in pairs]))
         return Spread(min(each.psnr for each in found), min(each.worst for each in found))
 
-    return search_limits(contents, judge, wanted, progress=progress)
+    found = search_limits(contents, judge, wanted, progress=progress)
+    if lesson is None or found.limits is None:
+        return found
+    return _search_learned(contents, found, lesson, judge, wanted, progress)
+
+
+def _search_learned(
+    contents: Contents,
+    plain: RecordLimits,
+    lesson: RecordLesson,
+    judge: Callable[[Contents], Spread],
+    wanted: float,
+    progress: Progress,
+) -> RecordLimits:
+    """Return the coarsest rounding that is good enough with learned colors.
+
+    Args:
+        contents: The records with all bits.
+        plain: The coarsest rounding without learning, returned if none is better.
+        lesson: What colors are learned from.
+        judge: Returns the PSNR of rounded records.
+        wanted: Least mean PSNR, dB; a view may have 5 dB less.
+        progress: Called with stage "learn", in steps of all tries.
+    """
+    assert plain.limits is not None
+    quality = Quality() if plain.limits.place > -MOST_STEP else Quality(place=None)
+    high = plain.finer
+    low = max(high - _LEARNED_BITS, 0.0)
+    found = plain
+    steps = lesson.config.steps
+    for k in range(LEARNED_TRIES):
+
+        def step(stage: str, done: int, total: int, before: int = k * steps) -> None:
+            """Report progress over all tries."""
+            progress(stage, before + done, LEARNED_TRIES * steps)
+
+        finer = 0.5 * (low + high)
+        limits = limits_of(contents, quality.finer(finer))
+        colors = lesson.learn(limits, progress=step)
+        spread = judge(rounded_contents(lesson.levels, colors, limits))
+        if spread.psnr >= wanted and spread.worst >= wanted - _BELOW:
+            found = RecordLimits(limits, finer, spread.psnr, spread.worst, colors)
+            high = finer
+        else:
+            low = finer
+    return found
 
 
 def search_limits(

@@ -43,7 +43,7 @@ VERSIONS = {
     "joined": 3,
     "colors": 5,
     "epsilon": 1,
-    "rounding": 1,
+    "rounding": 2,
     "cost": 2,
     "fidelity": 3,
     "judged": 3,

@@ -90,6 +90,19 @@ class LearnConfig:
             seed=seed,
         )
 
+    @classmethod
+    def for_records(cls, steps: int = 300, seed: int = 0) -> LearnConfig:
+        """Return options for rounded records, whose lobes stay: base colors and intensities alone, and squares."""
+        return cls(
+            steps=steps,
+            base_rate=2e-4,
+            intensity_rate=1.5e-4,
+            center_rate=0.0,
+            decay_rate=0.0,
+            squared=True,
+            seed=seed,
+        )
+
 
 def learn_colors(
     g: Gaussians,

@@ -19,7 +19,14 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.jobs.workers import Workers
 from gsvis.package import Package, Spread, in_package_order
 from gsvis.package.fidelity import STEPS
-from gsvis.prepare import PrepareConfig, Prepared, estimate_preparation, learned_colors, prepare_package
+from gsvis.prepare import (
+    PrepareConfig,
+    Prepared,
+    estimate_preparation,
+    learned_colors,
+    prepare_package,
+    rounded_colors,
+)
 from gsvis.prepare import estimate as estimates
 from gsvis.prepare.colors import ColorConfig
 from gsvis.pvs import estimate as pvs_estimates
@@ -101,6 +108,20 @@ def test_records_are_rounded_from_what_is_kept(again: Path, rooms: OccluderScene
     assert found.manifest.info.cost.psnr > 34.0  # 40 dB in other views
     assert all(found.manifest.sizes()[name] < before.sizes()[name] for name in ("records", "terms"))
     assert not new(prepare(rooms, again, config))
+
+
+def test_colors_of_rounded_records_are_learned_once(
+    again: Path, rooms: OccluderScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learned_colors, "RENDERS", ViewSampling(9, 24, 20))
+    monkeypatch.setattr(rounded_colors, "LESSON", ViewSampling(8, 24, 20, stream=13))
+    monkeypatch.setattr(rounded_colors, "STEPS", 4)
+    config = replace(CONFIG, colors=replace(CONFIG.colors, record_psnr=40.0), color_steps=2)
+    assert "rounding" in new(prepare(rooms, again, config))
+    before = files(again)
+    shutil.rmtree(again)
+    assert new(prepare(rooms, again, config)) == ["package"]
+    assert files(again) == before
 
 
 def test_a_package_holds_everything_that_a_server_needs(made: tuple[Path, Prepared], rooms: OccluderScene) -> None:
