@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.prepare._kernels import importance as kernels
 from gsvis.progress import Progress, silent
-from gsvis.raycast.directions import NUM_FACES, face_of
+from gsvis.raycast.directions import NUM_FACES, face_planes
 from gsvis.render.weights import view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -112,19 +113,16 @@ def importance_from_views(g: Gaussians | Levels, cameras: Cameras, *, progress: 
     if len(faces) == 0:
         return ViewImportance(faces)
     levels = _without_harmonics(as_levels(g))
-    pixels = len(cameras) * cameras.width * cameras.height
+    pixels = np.float32(len(cameras) * cameras.width * cameras.height)
+    planes = face_planes()
     looks = len(cameras) * len(levels)
     progress("importance", 0, looks)
     for k, (scene, places) in enumerate(level_scenes(levels)):
         for c in range(len(cameras)):
             seen = view_weights(scene, cameras[c])
-            squared = seen.summed[0] * seen.largest[0]
-            ids = np.flatnonzero(squared)
-            towards_eye = cameras[c].viewpoints - scene.means[ids].astype(np.float64)
-            away = np.linalg.norm(towards_eye, axis=1)
-            ids = ids[away > 0]
-            towards_eye = towards_eye[away > 0] / away[away > 0, None]
-            faces[places[ids], face_of(towards_eye)] += squared[ids] / np.float32(pixels)
+            eye = cameras[c].viewpoints[0]
+            weights = seen.largest[0], seen.summed[0]
+            kernels.add_squares(places, scene.means, *weights, eye, pixels, *planes, faces)
             progress("importance", k * len(cameras) + c + 1, looks)
     faces /= (levels.last - levels.first + np.uint8(1))[:, None]
     return ViewImportance(faces)

@@ -41,7 +41,7 @@ VERSIONS = {
     "levels": 9,
     "sets": 7,
     "joined": 3,
-    "colors": 5,
+    "colors": 6,
     "epsilon": 1,
     "rounding": 2,
     "cost": 2,

@@ -135,11 +135,8 @@ def project_splats(scene: Any, view: View, *, antialiased: bool) -> tuple[I32, F
         depths,
         counts,
     )
-    starts = np.concatenate([[0], np.cumsum(counts)])
-    m = int(starts[-1])
-    packed = np.empty(m, np.int32), np.empty((m, 8)), np.empty(m, np.float32)
-    _kernels_project.gather_blocks(counts, starts, ids, splats, depths, *packed)
-    ids, splats, depths = packed
+    m = _kernels_project.close_gaps(counts, ids, splats, depths)
+    ids, splats, depths = ids[:m], splats[:m], depths[:m]
     if factor != 1.0:
         depths /= np.float32(factor)
     return ids, splats, depths

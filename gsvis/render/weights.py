@@ -75,10 +75,7 @@ def view_weights(
     for c in range(len(cameras)):
         view, projected = _project(g, cameras[c], antialiased)
         pairs = _weigh_pairs(view, projected)
-        if len(pairs):
-            ids, starts = _met(projected)
-            largest[c, ids] = np.maximum.reduceat(pairs[:, 0], starts)
-            summed[c, ids] = np.add.reduceat(pairs[:, 1], starts)
+        _kernels_tiles.join_weights(projected.order, projected.ids, projected.first_pair, pairs, largest[c], summed[c])
         progress("views", c + 1, len(cameras))
     return ViewWeights(largest, summed)
 

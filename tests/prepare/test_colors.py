@@ -17,7 +17,8 @@ from gsvis.prepare.colors import ColorConfig, find_kept, prepare_colors
 from gsvis.prepare.fitted_colors import FittedColors, round_colors
 from gsvis.prepare.importance import direction_weights, importance_from_views
 from gsvis.raycast import EllipsoidProxies, Tracer
-from gsvis.raycast.directions import trace_directions
+from gsvis.raycast.directions import face_of, trace_directions
+from gsvis.render import view_weights
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import OccluderScene, two_rooms
@@ -46,6 +47,20 @@ def test_directions_are_those_of_tracing_and_of_the_views() -> None:
     given = prepare_colors(g, scene.navigable, QUICK, sets=traced)
     assert np.array_equal(given.sets, found.sets)
     assert same(given.fit.colors, found.fit.colors)
+
+
+def test_importance_is_the_squared_weight_by_the_face_toward_the_eye() -> None:
+    scene, g = rooms(), rooms().gaussians
+    cameras = QUICK.views.cameras(g, scene.navigable)
+    expected = np.zeros((len(g), 80))
+    for c in range(len(cameras)):
+        seen = view_weights(g, cameras[c])
+        faces = face_of(cameras[c].viewpoints - g.means)
+        expected[np.arange(len(g)), faces] += seen.largest[0].astype(np.float64) * seen.summed[0]
+    expected /= len(cameras) * cameras.width * cameras.height
+    found = importance_from_views(g, cameras).faces
+    assert np.count_nonzero(expected) > 1000
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-12)
 
 
 def test_faces_of_the_paper_are_gathered_from_views_and_all_count_alike() -> None:

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsvis._kernels.compiled import inner, kernel, njit, uncounted
-from gsvis._kernels.shared import share, take_next
-from gsvis._kernels.threads import in_parts, in_threads, on_numba_threads
+from gsvis._kernels.compiled import kernel, njit, uncounted
+from gsvis._kernels.shared import take_next
+from gsvis._kernels.threads import in_parts, in_threads
 
 NEAR = 0.01
 DILATION = 0.3
@@ -184,22 +184,22 @@ def project(
         block = take_next(taken)
 
 
-@inner
-def _gather_block(block, counts, starts, ids, splats, depths, out_ids, out_splats, out_depths):
-    """Copy the splats of one block; see `gather_blocks`."""
-    for k in range(counts[block]):
-        source = block * _BLOCK + k
-        target = starts[block] + k
-        out_ids[target], out_depths[target] = ids[source], depths[source]
-        for c in range(8):
-            out_splats[target, c] = splats[source, c]
-
-
-@on_numba_threads
 @kernel
-def gather_blocks(counts, starts, ids, splats, depths, out_ids, out_splats, out_depths):
-    """Close the gaps that `project` leaves between blocks."""
-    share(_gather_block, len(counts), (counts, starts, ids, splats, depths, out_ids, out_splats, out_depths))
+def close_gaps(counts, ids, splats, depths):
+    """Close the gaps that `project` leaves between blocks, in place; return the number of splats.
+
+    In place, because new memory costs more than the moves: a page of it is cleared by the system before it is written.
+    """
+    at = 0
+    for block in range(len(counts)):
+        first = block * _BLOCK
+        for k in range(counts[block]):
+            ids[at] = ids[first + k]
+            depths[at] = depths[first + k]
+            for c in range(8):
+                splats[at, c] = splats[first + k, c]
+            at += 1
+    return at
 
 
 @in_parts(lambda *arguments: (len(arguments[8]) + 255) // 256)

@@ -367,6 +367,23 @@ def sum_pairs(begin, end, order, first_pair, pairs, out):
                 out[m, e] += pairs[p, e]
 
 
+@in_parts(lambda order, *_: len(order))
+@kernel(error_model="numpy")
+def join_weights(begin, end, order, ids, first_pair, pairs, largest, summed):
+    """Write the largest and the summed weight of each Gaussian with a pair into largest (N,) and summed (N,)."""
+    for k in range(begin, end):
+        if first_pair[k] == first_pair[k + 1]:
+            continue
+        most = np.float32(0.0)
+        total = 0.0
+        for p in range(first_pair[k], first_pair[k + 1]):
+            most = max(most, pairs[p, 0])
+            total += pairs[p, 1]
+        i = ids[order[k]]
+        largest[i] = most
+        summed[i] = total
+
+
 @in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
 @kernel(error_model="numpy")
 def weigh_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, width, height, out):
