@@ -116,12 +116,20 @@ def streams_table(
     return "\n".join(lines)
 
 
-def figures_of(differences: Sequence[dict[str, Any]], weak: Sequence[str] = ()) -> list[dict[str, Any]]:
-    """Return the figures of the result: lower ends of the intervals, which should be above 0."""
+def figures_of(
+    differences: Sequence[dict[str, Any]], weak: Sequence[str] = (), own: Sequence[str] = ()
+) -> list[dict[str, Any]]:
+    """Return the figures of the result: lower ends of the intervals, which should be above 0.
+
+    Args:
+        differences: Of ours and each other system.
+        weak: Names of weak copies.
+        own: Names of systems that are ours too: nothing is wanted of them.
+    """
     return [
         {
             "name": f"{each['mbit']:g} Mbit/s: QoE ({least} dB) above {each['system']}{_mark(each, weak)}, lower end",
-            "target": 0.0,
+            "target": None if each["system"] in own else 0.0,
             "reached": each[f"qoe_{least}"]["low"],
             "unit": "",
             "better": "higher",

@@ -40,6 +40,8 @@ from arena.systems import SYSTEMS, System, trained
 from gsvis.errors import GsvisError
 from gsvis.simulate import Link
 
+OWN = ("gsvis, 48 dB records",)
+"""What is ours as well, with other options."""
 PLAIN = "3DGS, PLY"
 """What copies are compared with to find weak ones."""
 
@@ -115,7 +117,7 @@ def run(options: argparse.Namespace) -> None:
         "differences": differences,
         "sessions": [{name: value for name, value in row.items() if name != "curve"} for row in rows],
     }
-    write_result(options.out, QUESTION, figures_of(differences, weak), details)
+    write_result(options.out, QUESTION, figures_of(differences, weak, OWN), details)
 
 
 def open_course(options: argparse.Namespace) -> Course:

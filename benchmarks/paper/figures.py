@@ -35,9 +35,11 @@ from gsvis.files.temporary import temporary_folder
 from gsvis.raycast import FACE_LIMITS, PAPER
 from gsvis.render import psnr, rasterize
 from gsvis.report.theme import LIGHT
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.icosphere import face_directions, face_shares
 from gsvis.simulate.viewing import Viewing
 from gsvis.train import most_important
+from paper.highlights import find_highlight
 from paper.photographs import Photographs, add_options
 from paper.pieces import open_scene
 from paper.sphere import SphereConfig, fit_function
@@ -120,16 +122,23 @@ Drawn = tuple[bytes, str]
 
 def draw_directions(study: Study) -> Drawn:
     """Figure 3: from how many directions Gaussians are visible."""
-    cdf = study.directions
+    curves = {
+        f"here, in {study.directions_views} views": (study.directions, LIGHT.gathered),
+        "here, by rays outward": (study.traced, LIGHT.traced),
+    }
     figure, axes = one_panel("share of the 80 directions", "share of the Gaussians seen from at most as many")
-    axes.plot(np.arange(81) / 80.0, cdf.values, color=LIGHT.gathered, linewidth=2.2, label="here")
+    for name, (cdf, color) in curves.items():
+        axes.plot(np.arange(81) / 80.0, cdf.values, color=color, linewidth=2.2, label=name)
     points = [k / 80.0 for k in FACE_LIMITS], [PAPER["below_33_faces"], PAPER["below_48_faces"]]
     axes.plot(*points, "o", color=LIGHT.published, label="paper, Tanks & Temples")
-    axes.legend(frameon=False)
-    below = ", ".join(f"{cdf.below(k):.1%} below {k / 80:.2%}" for k in FACE_LIMITS)
+    axes.legend(frameon=False, loc="lower right")
+    said = [
+        f"{name}: {', '.join(f'{cdf.below(k):.1%} below {k / 80:.2%}' for k in FACE_LIMITS)}"
+        for name, (cdf, _) in curves.items()
+    ]
     return png(figure), (
-        f"{below} of the directions; paper 39.4% and 80.4%. Gathered from {study.directions_views} views; more views"
-        " find more directions, and the paper does not say how many it had."
+        f"{'; '.join(said)} of the directions; paper 39.4% and 80.4%. More views find more, and the paper does"
+        " not say how many it had; rays outward are what many views come to."
     )
 
 
@@ -181,7 +190,8 @@ def draw_spheres(study: Study) -> Drawn:
     rows = ", ".join(f"{k}: {mine:.4f} ({paper:.4f})" for k, mine, paper in zip(COUNTS, errors, ERRORS, strict=True))
     return sphere_figure(function, fit, errors=errors, counts=COUNTS), (
         f"Mean squared error by number of SRBFs, the paper's in brackets: {rows}. The paper does not name its function;"
-        " this one has three soft lamps and unit variance. The lobes are moved after each choice."
+        " this one has three soft lamps and unit variance. The lobes are moved after each choice. Errors are those"
+        " between the directions of the fit, so they need not fall."
     )
 
 
@@ -193,17 +203,22 @@ def draw_sessions(study: Study) -> Drawn:
         "latency, s (figure 11)": "latency",
         "Mbit/s received (figures 12 and 14)": "rate",
     }
-    figure = Figure(figsize=(11.0, 7.0), dpi=110, layout="constrained")
+    figure = Figure(figsize=(11.0, 7.4), dpi=110, layout="constrained")
     for (label, quantity), axes in zip(panels.items(), figure.subplots(2, 2).flat, strict=True):
-        for name, seen in study.sessions.items():
+        for number, (name, seen) in enumerate(study.sessions.items()):
             curves = [curve_of(each, quantity) for each in seen]
-            axes.plot(curves[0][0], np.mean([values for _, values in curves], axis=0), label=name)
+            mean = np.mean([values for _, values in curves], axis=0)
+            axes.plot(curves[0][0], mean, linestyle=("-", "-", "-", "--")[number % 4], linewidth=1.8, label=name)
         if quantity == "rate":
-            axes.axhline(study.mbit, color=LIGHT.muted, linestyle=":", label="link")
+            axes.axhline(study.mbit, color=LIGHT.muted, linestyle=":")
+            axes.text(study.seconds, study.mbit, "link", ha="right", va="bottom", fontsize=8, color=LIGHT.muted)
         if quantity == "psnr":
-            axes.axvspan(4.0, 5.0, color=LIGHT.published, alpha=0.15, label="SOGG, Compressed-3D begin (paper)")
+            axes.axvspan(4.0, 5.0, color=LIGHT.published, alpha=0.15)
+            axes.text(
+                4.5, 1.0, "SOGG and Compressed-3D begin (paper)", rotation=90, ha="center", va="bottom", fontsize=8
+            )
         style(axes, "seconds", label)
-        axes.legend(frameon=False, fontsize=8)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     said = []
     for name, seen in study.sessions.items():
         score, db = (np.mean([getattr(each.qoe, key) for each in seen]) for key in ("score", "psnr"))
@@ -222,9 +237,10 @@ def draw_walk(study: Study) -> Drawn:
     axes.plot(walked.times, walked.gaussians, color=LIGHT.gathered, linewidth=2.2, label="Gaussians")
     axes.plot(walked.times, walked.terms, color=LIGHT.traced, linewidth=2.2, label="SRBFs")
     end = PAPER_WALK["seconds"]
-    axes.plot([end], [PAPER_WALK["seen"]], "o", color=LIGHT.published, label="paper")
-    axes.plot([0.0, end], [PAPER_TERMS["start"], PAPER_TERMS["end"]], "o", color=LIGHT.published)
-    axes.legend(frameon=False)
+    axes.plot([end], [PAPER_WALK["seen"]], "o", color=LIGHT.gathered, label="Gaussians, paper")
+    axes.plot([0.0, end], [PAPER_TERMS["start"], PAPER_TERMS["end"]], "o", color=LIGHT.traced, label="SRBFs, paper")
+    axes.set_ylim(0.0, 1.0)
+    axes.legend(frameon=False, loc="upper left")
     return png(figure), (
         f"After {walked.times[-1]:.0f} s: {walked.gaussians[-1]:.1%} of the Gaussians and {walked.terms[-1]:.1%} of the"
         f" SRBFs ({walked.terms[0]:.1%} at the start); paper 86.85%, 22.39% and 3.58%. Seen by cameras on the walk,"
@@ -250,14 +266,18 @@ def draw_colors(study: Study) -> Drawn:
 
 def draw_highlights(study: Study) -> Drawn:
     """Figure 17: the same place from different angles."""
-    walk = study.scene.walks[0]
-    cameras = walk.resample(times=np.linspace(0.0, 6.0, 3)).cameras(320, 240, 70.0)
-    shown = [
-        [study.draw_scene(cameras[c]) for c in range(3)],
-        [study.draw_variant("hsl", cameras[c]) for c in range(3)],
-    ]
-    return montage(shown, ["on a walk, above SH", "below HSL by OMP", ""]), (
-        "Three poses of a walk. A built-in scene has no sun on a desktop; take a scene of yours with highlights."
+    found = find_highlight(study.scene.gaussians, study.scene.space, study.gathered.importance)
+    cameras = found.cameras(320, 240)
+    ways: dict[str, Callable[[Cameras], F32]] = {
+        "SH": study.draw_scene,
+        "HSL by OMP, the paper's": lambda camera: study.draw_variant("hsl", camera),
+        "RGB lobes, ours": lambda camera: study.draw_variant("ours", camera),
+    }
+    shown = [[draw(cameras[c]) for c in range(len(cameras))] for draw in ways.values()]
+    titles = ["from one eye", *(f"from another, {angle:.0f}° apart" for angle in found.angles[1:])]
+    return montage(shown, titles, list(ways)), (
+        "In the middle of each image is the place whose color changes most between two eyes, of those that views show"
+        " most. The paper shows the sun on a desktop; a built-in scene has none, so take one of yours."
     )
 
 
@@ -273,7 +293,8 @@ def draw_levels(study: Study) -> Drawn:
         found = study.compare(lambda camera, held=held: study.draw_level(camera, held))
         drops.append(found.psnr)
         share, stays = held.sum() / best.sum(), (held & best).sum() / held.sum()
-        titles.append(f"{name}: {int(held.sum()):,}, {share:.1%}\n{stays:.1%} reused\n{said_of(found)}")
+        reused = "the best level" if np.array_equal(held, best) else f"{stays:.1%} reused by the best"
+        titles.append(f"{name}: {int(held.sum()):,}, {share:.1%}\n{reused}\n{said_of(found)}")
     apart = ", ".join(f"{name} {value - drops[-1]:+.2f} dB" for name, value in zip(names[:-1], drops, strict=False))
     return montage([images], titles), (
         f"PSNR against that of the best level, mean of {len(study.scene.judges)} views: {apart}; paper, two scenes: low"
@@ -346,8 +367,8 @@ def style(axes: Any, x: str, y: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def montage(rows: Sequence[Sequence[F32]], titles: Sequence[str]) -> bytes:
-    """Return rows of images as one PNG, with a title above each column."""
+def montage(rows: Sequence[Sequence[F32]], titles: Sequence[str], names: Sequence[str] = ()) -> bytes:
+    """Return rows of images as one PNG, with a title above each column, and a name beside each row."""
     figure = Figure(figsize=(3.3 * len(rows[0]), 2.75 * len(rows)), dpi=110, layout="constrained")
     panels = figure.subplots(len(rows), len(rows[0]), squeeze=False)
     for row, images in zip(panels, rows, strict=True):
@@ -356,6 +377,8 @@ def montage(rows: Sequence[Sequence[F32]], titles: Sequence[str]) -> bytes:
             axes.set_axis_off()
     for axes, title in zip(panels[0], titles, strict=True):
         axes.set_title(title, fontsize=10)
+    for axes, name in zip(panels[:, 0], names, strict=False):
+        axes.text(-0.03, 0.5, name, transform=axes.transAxes, rotation=90, ha="right", va="center", fontsize=10)
     return png(figure)
 
 

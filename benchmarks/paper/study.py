@@ -23,7 +23,8 @@ from gsvis.color.fit import FitConfig, fit_srbf
 from gsvis.package import Package
 from gsvis.prepare import prepare_package
 from gsvis.prepare.importance import ViewImportance, importance_from_views
-from gsvis.raycast import DirectionCdf
+from gsvis.raycast import DirectionCdf, EllipsoidProxies, Tracer
+from gsvis.raycast.directions import trace_directions
 from gsvis.render import psnr, rasterize, ssim
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -46,6 +47,9 @@ _WALK = WalkConfig(seconds=30.0, rate=2.0, width=320, height=240)
 _TERMS = 12  # most of a Gaussian
 _MEAN_TERMS = 3.0
 _PIECE = 0.5  # seconds
+_TRACED = 1000  # Gaussians
+_RAYS = 16  # over each of the 80 faces
+_SEED = 5
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,15 @@ class Study:
     def directions_views(self) -> int:
         """Number of views of figure 3."""
         return _GATHERED.count
+
+    @cached_property
+    def traced(self) -> DirectionCdf:
+        """The same of a sample, by rays outward: which directions lead to where eyes may be."""
+        g = self.scene.gaussians
+        count = min(_TRACED, len(g))
+        ids = np.random.default_rng(_SEED).choice(len(g), count, replace=False)
+        tracer = Tracer(EllipsoidProxies.from_scene(g))
+        return DirectionCdf.from_sets(trace_directions(tracer, self.scene.space, ids=ids, rays_per_face=_RAYS))
 
     def level(self, name: int) -> tuple[Gaussians, NDArray[np.bool_]]:
         """Return all Gaussians of the package, and which belong to a level; -1 is the highest."""

@@ -138,6 +138,8 @@ def test_tables_say_what_never_came() -> None:
     line = streams_table([mean], [apart]).splitlines()[-1]
     assert "| 1.5 | never | +1.000 (0.500 to 1.500) | 1 of 2 |  |  |" in line
     assert figures_of([apart])[0]["reached"] == 0.5
+    assert figures_of([apart])[0]["target"] == 0.0
+    assert figures_of([apart], own=["a"])[0]["target"] is None
     assert "a (weak copy)" in streams_table([mean], [apart], ["a"])
     assert "a (weak copy)" in figures_of([apart], ["a"])[0]["name"]
     system = {"name": "a", "count": 1000, "bytes": 2e6, "psnr": 25.0, "seconds": 3.0, "published": ""}

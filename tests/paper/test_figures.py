@@ -28,9 +28,8 @@ def test_every_figure_with_a_measurement_is_there() -> None:
 def test_the_figure_of_directions_states_the_papers_points() -> None:
     sets = np.zeros((4, 10), np.uint8)
     sets[2:] = 255
-    image, caption = figures.draw_directions(
-        SimpleNamespace(directions=DirectionCdf.from_sets(sets), directions_views=7)
-    )
+    cdf = DirectionCdf.from_sets(sets)
+    image, caption = figures.draw_directions(SimpleNamespace(directions=cdf, traced=cdf, directions_views=7))
     assert min(size_of(image)) > 300
     assert "50.0% below 41.25%" in caption
     assert "39.4% and 80.4%" in caption
