@@ -129,7 +129,7 @@ class _Steps:
     def _draw_records(self, camera: Cameras, eye: F64, held: Mask, active: Mask | None) -> F32:
         """Return an image of the decoded Gaussians in `held` (N,), with the terms in `active` (T,) or all."""
         colors = self._after.colors(self._decoded.means, eye, active=active)
-        return _rasterize(self._decoded[held], camera, colors[held])
+        return _rasterize(self._decoded.showing(held), camera, colors)
 
 
 def _cell_of(grid: CellGrid, eye: F64) -> int:

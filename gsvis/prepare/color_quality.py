@@ -23,6 +23,7 @@ from gsvis.errors import BackendError
 from gsvis.progress import Progress, silent
 from gsvis.pvs.quality import PSNR_CAP
 from gsvis.render import flip, psnr, rasterize, ssim, view_weights
+from gsvis.render.fixed_view import FixedView
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
@@ -184,16 +185,19 @@ def measure_colors(
     ranks = colors.ranks
     evaluator = Evaluator(colors)
     activation = Activation(colors, g.means, 0.0)
+    drawn = g.without_harmonics()
     measured: dict[str, list[Any]] = {name: [] for name in ("all", "base", "count", "share", "active", "by")}
     progress("colors", 0, len(cameras))
     for c in range(len(cameras)):
         camera = cameras[c]
         eye = cameras[c].viewpoints[0]
+        seen = FixedView(drawn, camera)
 
-        def shown(active: NDArray[np.bool_] | None, camera: Cameras = camera, eye: F64 = eye) -> F32:
-            return _image(g, camera, evaluator.colors(g.means, eye, active=active))
+        def shown(active: NDArray[np.bool_] | None, seen: FixedView = seen) -> F32:
+            """Return the image from colors with some of their terms."""
+            return _clipped(seen.image(evaluator.colors(g.means, seen.eye, active=active, ids=seen.ids)))
 
-        exact = _image(g, camera, None)
+        exact = _clipped(np.asarray(rasterize(g, camera, backend="cpu").images[0]))
         fitted = shown(None)
         firsts = {int(k): shown(ranks < k) for k in counts[:-1]} | {most: fitted}
         measured["all"].append(_likeness(fitted, exact, config.flip))
@@ -229,9 +233,9 @@ def _by_active(g: Gaussians, camera: Cameras, colors: SrbfColors, active: NDArra
     return np.asarray(counts / max(1, len(numbers)))
 
 
-def _image(g: Gaussians, camera: Cameras, colors: F32 | None) -> F32:
-    """Return the (H, W, 3) image of a camera, clipped to [0, 1] as a display does."""
-    return np.asarray(np.clip(rasterize(g, camera, backend="cpu", colors=colors).images[0], 0.0, 1.0), np.float32)
+def _clipped(image: F32) -> F32:
+    """Return an image clipped to [0, 1] as a display does."""
+    return np.asarray(np.clip(image, 0.0, 1.0), np.float32)
 
 
 def _psnr(image: F32, target: F32) -> float:

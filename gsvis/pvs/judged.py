@@ -90,7 +90,7 @@ def _psnr_of_cell(g: Gaussians, grid: CellGrid, held: Held, camera: Cameras) -> 
     cell = int(grid.cell_at(eye[None])[0])
     if cell < 0:
         cell = int(np.linalg.norm(grid.centers - eye, axis=1).argmin())
-    return min(_CAP, float(psnr(_draw(g[held(cell)], camera), _draw(g, camera))))
+    return min(_CAP, float(psnr(_draw(g.showing(held(cell)), camera), _draw(g, camera))))
 
 
 def _draw(g: Gaussians, camera: Cameras) -> F32:

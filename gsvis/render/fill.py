@@ -46,6 +46,8 @@ SIDE = 512
 STEP = 4
 """Pixels from one sampled pixel to the next."""
 
+_PARTS = 4  # of the splats of a view, for threads
+
 
 @dataclass(frozen=True, eq=False)
 class ViewFill:
@@ -168,9 +170,9 @@ def sampled_view_fill(g: Gaussians, camera: Cameras, step: int = STEP) -> tuple[
     view = _view_of(camera)
     _, splats, _ = project_splats(_arrays_of(g), view, antialiased=g.facts.antialiased)
     rows, columns = (len(range(step // 2, size, step)) for size in (view.height, view.width))
-    fill = np.zeros((rows, columns), np.int32)
-    sample_fill(splats, step, fill)
-    return len(splats), fill
+    fills = np.zeros((_PARTS, rows, columns), np.int32)
+    sample_fill(splats, step, fills)
+    return len(splats), fills.sum(axis=0, dtype=np.int32)
 
 
 def sample_fill_around(g: Gaussians, eyes: ArrayLike) -> SampledFill:

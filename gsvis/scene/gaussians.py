@@ -114,6 +114,22 @@ class Gaussians:
         object.__setattr__(same, "shN", none)
         return same
 
+    def showing(self, shown: NDArray[np.bool_]) -> Gaussians:
+        """Return the same Gaussians, not copied, of which those outside a mask (N,) have no opacity.
+
+        Images are those of a selection, which would copy all harmonics.
+
+        Raises:
+            ValueError: If the mask has another shape.
+        """
+        if shown.shape != (len(self),):
+            raise ValueError(f"shown: expected shape ({len(self)},), got {shown.shape}")
+        same = self.with_facts(self.facts)
+        opacities = np.where(shown, self.opacities, np.float32(0.0))
+        opacities.flags.writeable = False
+        object.__setattr__(same, "opacities", opacities)
+        return same
+
     def with_origin(self, origin: ArrayLike) -> Gaussians:
         """Return the same scene with centers relative to a new origin, moved in double precision.
 

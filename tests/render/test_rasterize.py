@@ -53,6 +53,16 @@ def test_images_equal_the_reference(kind: str, antialiased: bool, where: str) ->
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_gaussians_that_do_not_show_are_not_there(kind: str) -> None:
+    g = scene(kind)
+    some = np.arange(len(g)) % 3 > 0
+    view = camera("far" if kind == "far" else "outside")
+    shown, chosen = (rasterize(each, view, backend="cpu") for each in (g.showing(some), g[some]))
+    np.testing.assert_array_equal(shown.images, chosen.images)
+    np.testing.assert_array_equal(shown.median_depths, chosen.median_depths)
+
+
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_tensors_are_drawn_as_arrays_are(kind: str, antialiased: bool) -> None:
     g, view = scene(kind), camera("far" if kind == "far" else "outside", 30, 20)

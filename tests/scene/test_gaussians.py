@@ -77,6 +77,17 @@ def test_without_harmonics_shares_all_other_arrays() -> None:
     assert bare[:3].shN.shape == (3, 0, 3)
 
 
+def test_showing_some_shares_all_other_arrays() -> None:
+    g = Gaussians(**arrays(20, degree=2))
+    some = np.arange(20) % 3 == 0
+    shown = g.showing(some)
+    assert all(np.shares_memory(getattr(shown, name), getattr(g, name)) for name in FIELDS if name != "opacities")
+    np.testing.assert_array_equal(shown.opacities, np.where(some, g.opacities, 0.0))
+    assert not shown.opacities.flags.writeable
+    with pytest.raises(ValueError, match=r"shown: expected shape \(20,\), got \(3,\)"):
+        g.showing(some[:3])
+
+
 def test_quaternions_of_any_length_are_normalized() -> None:
     given_ = arrays()
     reference = Gaussians(**given_)

@@ -76,14 +76,11 @@ def count_fill(taken, splats, offsets, members, pair_of, tiles_x, fill, until, p
         tile = take_next(taken)
 
 
-@kernel(error_model="numpy")
-def sample_fill(splats, step, fill):
-    """Count the splats over every `step`-th pixel along both axes, beginning with the middle of the first `step`.
-
-    `splats` (M, 8); `fill` (rows, columns) int32 zeros. A splat covers a pixel as in `count_fill`.
-    """
+@njit(cache=True)
+def _sample_part(splats, begin, end, step, fill):
+    """Count splats begin..end over sampled pixels; see `sample_fill`."""
     first = step // 2 + 0.5
-    for m in range(len(splats)):
+    for m in range(begin, end):
         splat = splats[m]
         low = max(int(np.ceil((splat[1] - splat[7] - first) / step)), 0)
         high = min(int(np.floor((splat[1] + splat[7] - first) / step)), fill.shape[0] - 1)
@@ -96,3 +93,19 @@ def sample_fill(splats, step, fill):
                 dx = k * step + first - splat[0]
                 if level + dx * (splat[3] * dy + splat[2] * dx) >= -_LOG2_255:
                     fill[r, k] += 1
+
+
+@in_threads(lambda splats, step, fills: len(fills))
+@kernel(error_model="numpy")
+def sample_fill(taken, splats, step, fills):
+    """Count the splats over every `step`-th pixel along both axes, beginning with the middle of the first `step`.
+
+    `splats` (M, 8); `fills` (P, rows, columns) int32 zeros, one for each of P parts of the splats; their sum is the
+    fill. A splat covers a pixel as in `count_fill`.
+    """
+    part = take_next(taken)
+    while part < len(fills):
+        _sample_part(
+            splats, len(splats) * part // len(fills), len(splats) * (part + 1) // len(fills), step, fills[part]
+        )
+        part = take_next(taken)
