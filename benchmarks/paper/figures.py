@@ -146,13 +146,18 @@ def draw_reduction(study: Study) -> Drawn:
     """Figure 4: fewer pixels of an image, and fewer Gaussians of a scene."""
     camera = study.scene.judges[0]
     truth = study.draw_scene(camera)
+    low = study.level(study.low)[1]
     g = study.scene.gaussians
     bare = most_important(g, study.gathered.importance, round(0.23 * len(g)))
     fewer = study_image(study, bare, camera)
     side = [max(1, round(n * np.sqrt(0.147))) for n in (camera.width, camera.height)]
     small = Image.fromarray((255.0 * truth).astype(np.uint8)).resize(side, Image.Resampling.BOX)
     large = np.asarray(small.resize((camera.width, camera.height), Image.Resampling.BICUBIC), np.float32) / 255.0
-    named = {"14.7% of the pixels": large, "23% of the Gaussians": fewer, "ours, lowest level": lowest(study, camera)}
+    named = {
+        "14.7% of the pixels": large,
+        "23% of the Gaussians": fewer,
+        "ours, low level": study.draw_level(camera, low),
+    }
     values = {name: float(psnr(image, truth)) for name, image in named.items()}
     said = ", ".join(f"{name} {value:.1f} dB" for name, value in values.items())
     return montage([[truth, *named.values()]], ["the scene", *(f"{n}, {v:.1f} dB" for n, v in values.items())]), (
@@ -165,14 +170,14 @@ def draw_together(study: Study) -> Drawn:
     """Figure 5: two levels that are drawn together."""
     camera = study.scene.judges[0]
     truth = study.draw_scene(camera)
-    _, low = study.level(0)
+    _, low = study.level(study.low)
     _, high = study.level(-1)
     images = [study.draw_level(camera, held) for held in (low, high, low | high)]
-    names = ["lowest level", "highest level", "both together"]
+    names = ["low level", "highest level", "both together"]
     values = [float(psnr(image, truth)) for image in images]
     titles = ["the scene", *(f"{name}, {value:.1f} dB" for name, value in zip(names, values, strict=True))]
     return montage([[truth, *images]], titles), (
-        f"{', '.join(titles[1:])}. What only the lowest level has stands for Gaussians that the highest has too, so"
+        f"{', '.join(titles[1:])}. What only the low level has stands for Gaussians that the highest has too, so"
         " both together are worse than the highest alone; a client drops it when its replacements arrive."
     )
 
@@ -344,11 +349,6 @@ def curve_of(seen: Viewing, quantity: str) -> tuple[NDArray[np.float64], NDArray
 def study_image(study: Study, held: NDArray[np.bool_], camera: Any) -> F32:
     """Return the image of some Gaussians of the scene itself."""
     return clipped(rasterize(study.scene.gaussians[held], camera).images[0])
-
-
-def lowest(study: Study, camera: Any) -> F32:
-    """Return the image of the lowest level."""
-    return study.draw_level(camera, study.level(0)[1])
 
 
 def one_panel(x: str, y: str) -> tuple[Figure, Any]:

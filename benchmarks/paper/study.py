@@ -140,6 +140,11 @@ class Study:
         k = name % len(contents.names)
         return contents.gaussians(), np.asarray((contents.first <= k) & (k <= contents.last))
 
+    @property
+    def low(self) -> int:
+        """The level called low; below it there may be a preview, which the paper lacks."""
+        return self.package.contents.names.index("low")
+
     @cached_property
     def package_colors(self) -> Evaluator:
         """Colors of the package with all terms."""
