@@ -54,6 +54,8 @@ F32 = NDArray[np.float32]
 COUNTS = (2, 6, 10, 15, 20, 30)
 ERRORS = (0.58533, 0.12596, 0.035824, 0.0083, 0.00302, 0.00074)
 """Figure 15: mean squared errors by the number of SRBFs."""
+_PANEL = 3.3  # inches across an image
+_LINE = 0.18  # inches of a line of a title
 DROPS = {"middle": (0.011, -0.105), "low": (-3.635, -0.844)}
 """Figure 18: PSNR against that of the best level, in its two scenes."""
 USUAL = ("cells=8", "steps=60", "face-size=256")
@@ -138,7 +140,7 @@ def draw_directions(study: Study) -> Drawn:
     ]
     return png(figure), (
         f"{'; '.join(said)} of the directions; paper 39.4% and 80.4%. More views find more, and the paper does"
-        " not say how many it had; rays outward are what many views come to."
+        " not say how many it had. Rays outward find all directions that lead to where eyes may be."
     )
 
 
@@ -271,7 +273,9 @@ def draw_colors(study: Study) -> Drawn:
 
 def draw_highlights(study: Study) -> Drawn:
     """Figure 17: the same place from different angles."""
-    found = find_highlight(study.scene.gaussians, study.scene.space, study.gathered.importance)
+    photographs = study.scene.photographs
+    eyes = None if photographs is None else photographs.cameras.viewpoints
+    found = find_highlight(study.scene.gaussians, study.scene.space, study.gathered.importance, eyes)
     cameras = found.cameras(320, 240)
     ways: dict[str, Callable[[Cameras], F32]] = {
         "SH": study.draw_scene,
@@ -369,7 +373,10 @@ def style(axes: Any, x: str, y: str) -> None:
 
 def montage(rows: Sequence[Sequence[F32]], titles: Sequence[str], names: Sequence[str] = ()) -> bytes:
     """Return rows of images as one PNG, with a title above each column, and a name beside each row."""
-    figure = Figure(figsize=(3.3 * len(rows[0]), 2.75 * len(rows)), dpi=110, layout="constrained")
+    height, width = rows[0][0].shape[:2]
+    lines = 1 + max(title.count("\n") for title in titles)
+    tall = _PANEL * height / width * len(rows) + _LINE * (lines + len(rows))
+    figure = Figure(figsize=(_PANEL * len(rows[0]), tall), dpi=110, layout="constrained")
     panels = figure.subplots(len(rows), len(rows[0]), squeeze=False)
     for row, images in zip(panels, rows, strict=True):
         for axes, image in zip(row, images, strict=True):

@@ -49,23 +49,27 @@ class Highlight:
         )
 
 
-def find_highlight(g: Gaussians, space: NavigableSpace, importance: ArrayLike) -> Highlight:
+def find_highlight(
+    g: Gaussians, space: NavigableSpace, importance: ArrayLike, eyes: ArrayLike | None = None
+) -> Highlight:
     """Return the place whose color changes most, of those that views show most.
 
     Args:
         g: N Gaussians.
         space: Where eyes may be.
         importance: (N,) how much views show each Gaussian.
+        eyes: (E, 3) where eyes are; drawn from the space by default.
 
     Raises:
         ValueError: If no candidate is seen by two eyes.
     """
     strength = np.asarray(importance, np.float64) * np.sqrt((g.shN.astype(np.float64) ** 2).sum(axis=(1, 2)))
     ids = np.argsort(-strength, kind="stable")[:_CANDIDATES]
-    eyes = space.sample_viewpoints(_EYES, np.random.default_rng(_SEED))
+    drawn = space.sample_viewpoints(_EYES, np.random.default_rng(_SEED)) if eyes is None else eyes
+    points = np.asarray(drawn, np.float64)
     tracer = Tracer(EllipsoidProxies.from_scene(g))
-    seen = visible_from(tracer, eyes, sampling="gaussians", ids=ids) >= TAU
-    colors = np.stack([sh_colors(g[ids], eye) for eye in eyes])
+    seen = visible_from(tracer, points, sampling="gaussians", ids=ids) >= TAU
+    colors = np.stack([sh_colors(g[ids], eye) for eye in points])
     best = -1.0, 0, 0, 0
     for k in range(len(ids)):
         those = np.flatnonzero(seen[:, k])
@@ -78,14 +82,14 @@ def find_highlight(g: Gaussians, space: NavigableSpace, importance: ArrayLike) -
         raise ValueError("scene: expected a Gaussian that two eyes see, got none; take another scene")
     _, k, first, last = best
     target = g.means[ids[k]].astype(np.float64)
-    ways = _unit(eyes - target)
+    ways = _unit(points - target)
     halfway = _unit((ways[first] + ways[last])[None])[0]
     between = np.where(seen[:, k], ways @ halfway, -2.0)
     between[[first, last]] = -2.0
     middle = int(between.argmax()) if between.max() > -2.0 else first
     chosen = [first, middle, last]
     angles = np.degrees(np.arccos(np.clip(ways[chosen] @ ways[first], -1.0, 1.0)))
-    return Highlight(target, eyes[chosen], angles, np.asarray(space.up, np.float64))
+    return Highlight(target, points[chosen], angles, np.asarray(space.up, np.float64))
 
 
 def _unit(rows: F64) -> F64:
