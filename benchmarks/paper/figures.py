@@ -28,6 +28,7 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from _harness import write_result
 from _lightness import FUNCTIONS, even_directions, unit_variance
 
 from gsvis.errors import GsvisError
@@ -45,7 +46,7 @@ from paper.pieces import open_scene
 from paper.sphere import SphereConfig, fit_function
 from paper.spheres import sphere_figure
 from paper.study import Likeness, Study, clipped
-from paper.tables import tables
+from paper.tables import details_of, figures_of, tables
 from paper.walk import PAPER_WALK
 from paper.walk_terms import PAPER_TERMS
 
@@ -60,6 +61,7 @@ DROPS = {"middle": (0.011, -0.105), "low": (-3.635, -0.844)}
 """Figure 18: PSNR against that of the best level, in its two scenes."""
 USUAL = ("cells=8", "steps=60", "face-size=256")
 VIEWS = "views=60"
+QUESTION = "What do colors in pieces cost, as tables 2 and 3 of the paper ask?"
 NOT_HERE = """Figures 1, 2, 6 and 7 explain, they measure nothing. The four rivals of table 1 and Octree-GS are trained
 from photographs, so they have no curve here: `benchmarks/arena/run.py` trains copies of them."""
 
@@ -81,6 +83,7 @@ def main() -> None:
     parser.add_argument("--mbit", type=float, default=1.5, help="of the link")
     parser.add_argument("--seconds", type=float, default=12.0, help="of a session; the paper's have 30")
     parser.add_argument("--out", type=Path, default=Path("out/paper_figures"), help="folder of the PNG files")
+    parser.add_argument("--result", type=Path, help="file for what the tables hold, as JSON")
     options = parser.parse_args()
     try:
         write_all(options)
@@ -108,6 +111,8 @@ def write_all(options: argparse.Namespace) -> None:
             text = tables(study)
             (options.out / "tables.md").write_text(text, encoding="utf-8")
             print(text)
+            if options.result is not None:
+                write_result(options.result, QUESTION, figures_of(study), details_of(study))
         if "package" in vars(study):
             study.package.close()
 

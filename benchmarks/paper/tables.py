@@ -6,14 +6,17 @@ against photographs as in the paper where a study has them, else against the sce
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
     from paper.study import Likeness, Study
 
-__all__ = ["tables"]
+__all__ = ["details_of", "figures_of", "tables"]
+
+_VARIANTS = ("hsl", "ours", "hsl-l", "yuv", "hsv")
 
 TABLE_1 = (
     ("Compressed-3D", "no", "no", "no"),
@@ -40,8 +43,7 @@ _LINE = "|---|---|---|---|---|---|---|---|---|"
 
 def tables(study: Study) -> str:
     """Return tables 1 to 3 of a study."""
-    names = ("hsl", "ours", "hsl-l", "yuv", "hsv")
-    found = {name: study.variant_likeness(name) for name in names}
+    found = {name: study.variant_likeness(name) for name in _VARIANTS}
     sh = study.scene_likeness if study.by_photographs else None
     lines = [*_table_1(study), "", "## What do SRBF colors cost? (table 2)", "", _HEAD, _LINE]
     first = [] if sh is None else [_row("SH, the scene itself", sh, None)]
@@ -52,6 +54,38 @@ def tables(study: Study) -> str:
     lines += ["", "## Which color space? (table 3)", "", _HEAD, _LINE, *first]
     lines += [_row(name, found[name], sh, _lost(TABLE_3[name], TABLE_3_3DGS)) for name in TABLE_3]
     return "\n".join([*lines, "", *_remarks(study, found), ""])
+
+
+def figures_of(study: Study) -> list[dict[str, Any]]:
+    """Return the figures of a result: PSNR of each way to hold colors, or what it loses of SH against photographs."""
+    sh = study.scene_likeness.psnr if study.by_photographs else 0.0
+    what = "PSNR less than SH" if study.by_photographs else "PSNR against SH"
+    sign = -1.0 if study.by_photographs else 1.0
+    better = "lower" if study.by_photographs else "higher"
+    return [
+        {
+            "name": f"{name}: {what}",
+            "target": None,
+            "reached": sign * (study.variant_likeness(name).psnr - sh),
+            "unit": "dB",
+            "better": better,
+        }
+        for name in _VARIANTS
+    ]
+
+
+def details_of(study: Study) -> dict[str, Any]:
+    """Return what the tables hold, ready for JSON."""
+    found = {name: asdict(study.variant_likeness(name)) for name in _VARIANTS}
+    if study.by_photographs:
+        found["sh"] = asdict(study.scene_likeness)
+    return {
+        "scene": study.scene.name,
+        "gaussians": len(study.scene.gaussians),
+        "judges": len(study.scene.judges),
+        "by_photographs": study.by_photographs,
+        "variants": found,
+    }
 
 
 def _table_1(study: Study) -> list[str]:

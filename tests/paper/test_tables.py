@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from paper.study import Likeness
-from paper.tables import tables
+from paper.tables import figures_of, tables
 
 DB = {"hsl": 31.0, "ours": 41.0, "hsl-l": 29.0, "yuv": 28.0, "hsv": 27.0}
 
@@ -42,3 +42,11 @@ def test_photographs_show_what_colors_lose() -> None:
     assert "| hsv | 0.9000 | 27.00 dB | 0.2500 | - | -4.50 dB | +0.0500 | -1.15 dB | +0.0091 |" in text
     assert "LPIPS was not measured" not in text
     assert "no training saw" in text
+
+
+def test_the_result_says_what_is_lost_of_photographs_or_how_near_harmonics_are() -> None:
+    near = {figure["name"]: figure["reached"] for figure in figures_of(study())}
+    assert near["hsl: PSNR against SH"] == 31.0
+    by_photographs = study(by_photographs=True, scene_likeness=Likeness(31.5, 0.95, None))
+    lost = {figure["name"]: figure["reached"] for figure in figures_of(by_photographs)}
+    assert lost["hsl: PSNR less than SH"] == 0.5
