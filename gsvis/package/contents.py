@@ -64,13 +64,14 @@ class Contents:
     limits: Limits | None = None
 
     @classmethod
-    def from_levels(cls, levels: Levels, colors: QuantizedColors) -> Contents:
+    def from_levels(cls, levels: Levels, colors: QuantizedColors, order: PackageOrder | None = None) -> Contents:
         """Return the records of levels.
 
         Args:
             levels: Levels in the order of a package, from `in_package_order`.
             colors: Colors of their union, rounded with at most 8 bits for each part of the base color ("wire",
                 "coarse").
+            order: The order of these levels, if it is known; None finds it.
 
         Raises:
             ValueError: If lengths do not match, the order is not that of a package, a Gaussian has more than 255 terms,
@@ -80,7 +81,7 @@ class Contents:
         if len(colors) != len(g):
             raise ValueError(f"colors: expected those of {len(g):,} Gaussians, got {len(colors):,}")
         TermLayout.from_grids(colors.grids)
-        order = PackageOrder.from_levels(levels)
+        order = order or PackageOrder.from_levels(levels)
         if not np.array_equal(order.permutation, np.arange(len(g))):
             k = int(np.argmax(order.permutation != np.arange(len(g))))
             got = f"Gaussian {k} in place of {order.permutation[k]}"

@@ -8,6 +8,7 @@ from gsvis.color.evaluate import Evaluator
 from gsvis.color.records import QuantizedColors
 from gsvis.color.srbf import SrbfColors
 from gsvis.package.manifest import Cost
+from gsvis.package.order import PackageOrder
 from gsvis.package.rounding import Limits, rounded_contents
 from gsvis.progress import Progress, silent
 from gsvis.render import psnr, rasterize
@@ -26,6 +27,7 @@ def measure_cost(
     cameras: Cameras,
     *,
     limits: Limits | None = None,
+    order: PackageOrder | None = None,
     progress: Progress = silent,
 ) -> Cost:
     """Measure the PSNR of the highest level, decoded from records, against the original.
@@ -36,6 +38,7 @@ def measure_cost(
         colors: Colors of the union after rounding.
         cameras: C > 0 views.
         limits: How records are rounded; None for records that have all bits.
+        order: The order of these levels, if it is known; None finds it.
         progress: Called with stage "cost", in views.
 
     Raises:
@@ -45,7 +48,7 @@ def measure_cost(
         raise ValueError("cameras: expected at least one, got none")
     if len(exact) != len(levels.union):
         raise ValueError(f"exact: expected colors of {len(levels.union):,} Gaussians, got {len(exact):,}")
-    contents = rounded_contents(levels, colors, limits)
+    contents = rounded_contents(levels, colors, limits, order)
     member = levels.member(len(levels) - 1)
     scenes = levels.union[member], contents.gaussians(np.flatnonzero(member))
     shown = exact[member], contents.colors().dequantize()[member]

@@ -7,7 +7,7 @@ units.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -69,6 +69,19 @@ class PackageOrder:
         inner = np.lexsort((-_coverages(union)[order], inside))
         return cls(order[inner], np.array(cuts, np.int64), chunks, lattices[inner])
 
+    def sort(self, levels: Levels) -> Levels:
+        """Return the levels that the order is of, with their union in this order.
+
+        Args:
+            levels: The levels as they were given to `from_levels`.
+        """
+        ids = self.permutation
+        return Levels(levels.union[ids], levels.first[ids], levels.last[ids], levels.names)
+
+    def of_sorted(self) -> PackageOrder:
+        """Return the order of the levels that `sort` returns, which `from_levels` finds for them too."""
+        return replace(self, permutation=np.arange(len(self.permutation)))
+
 
 def in_package_order(levels: Levels) -> Levels:
     """Return the levels with their union in the order of a package, as `write_package` requires.
@@ -78,8 +91,7 @@ def in_package_order(levels: Levels) -> Levels:
     Args:
         levels: Levels in any order.
     """
-    order = PackageOrder.from_levels(levels).permutation
-    return Levels(levels.union[order], levels.first[order], levels.last[order], levels.names)
+    return PackageOrder.from_levels(levels).sort(levels)
 
 
 def _curve_frame(g: Gaussians) -> tuple[NDArray[np.float64], float]:

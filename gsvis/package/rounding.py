@@ -21,6 +21,7 @@ from gsvis.package._kernels import rounding as kernels
 from gsvis.package.codec import ChunkTable, lay_linear
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RecordLayout
+from gsvis.package.order import PackageOrder
 from gsvis.package.terms import encode_terms
 from gsvis.scene.levels import Levels
 
@@ -209,18 +210,21 @@ def round_terms(contents: Contents, limits: Limits) -> Contents:
     return replace(contents, term_records=encode_terms(found))
 
 
-def rounded_contents(levels: Levels, colors: QuantizedColors, limits: Limits | None) -> Contents:
+def rounded_contents(
+    levels: Levels, colors: QuantizedColors, limits: Limits | None, order: PackageOrder | None = None
+) -> Contents:
     """Return the records of levels, rounded unless `limits` is None.
 
     Args:
         levels: Levels in the order of a package, from `in_package_order`.
         colors: Colors of their union, rounded to tables.
         limits: How records are rounded.
+        order: The order of these levels, if it is known; None finds it.
 
     Raises:
         ValueError: As `Contents.from_levels` does.
     """
-    contents = Contents.from_levels(levels, colors)
+    contents = Contents.from_levels(levels, colors, order)
     return contents if limits is None else round_terms(round_records(contents, limits), limits)
 
 

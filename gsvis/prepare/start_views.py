@@ -9,7 +9,7 @@ cameras.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gsvis.errors import SceneError
 from gsvis.render import rasterize, view_weights
 from gsvis.scene.cameras import Cameras
-from gsvis.scene.core import find_core
+from gsvis.scene.core import Core, find_core
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.poses import describe_poses
@@ -63,20 +63,27 @@ def choose_start_views(
         drawn: Number of cameras to choose from.
         seed: Seed of the random numbers.
     """
+    return _choose(scene, space, _Subject.of(scene, space), count, drawn, seed)
+
+
+def _choose(
+    scene: Gaussians, space: NavigableSpace, subject: _Subject, count: int, drawn: int, seed: int
+) -> Cameras | None:
+    """Return what `choose_start_views` returns, for a known subject."""
     favored = 0
-    if shows_object(scene, space):
-        cameras = _around(scene, space)
+    if subject.is_object:
+        cameras = _around(subject, space)
     else:
         try:
             cameras = replace(_SAMPLING, count=drawn, seed=seed).cameras(scene, space)
         except SceneError:
             return None
-        cameras, favored = _within(scene, space, cameras)
-    worth = _worth(scene, space, cameras)
+        cameras, favored = _within(subject, space, cameras)
+    worth = _worth(scene, space, subject, cameras)
     if favored:
         worth[np.argmax(worth[:favored])] = np.inf  # one view of the detail comes first
     eyes = cameras.viewpoints
-    apart = (_SIDES_APART if shows_object(scene, space) else _APART) * float(np.linalg.norm(np.ptp(eyes, axis=0)))
+    apart = (_SIDES_APART if subject.is_object else _APART) * float(np.linalg.norm(np.ptp(eyes, axis=0)))
     chosen: list[int] = []
     for k in np.argsort(-worth, kind="stable").tolist():
         if len(chosen) < count and all(np.linalg.norm(eyes[k] - eyes[other]) >= apart for other in chosen):
@@ -84,61 +91,96 @@ def choose_start_views(
     return cameras[chosen]
 
 
-def _pivot_distances(scene: Gaussians, space: NavigableSpace, cameras: Cameras) -> F64:
+def _pivot_distances(subject: _Subject, space: NavigableSpace, cameras: Cameras) -> F64:
     """Return (C,) how far ahead lies what each camera looks at: the middle of an object, else the first surface.
 
     Where nothing solid is ahead, it is the point nearest to the middle of the scene's detail.
 
     Args:
-        scene: The scene.
+        subject: What the scene shows.
         space: Where eyes may be.
         cameras: The cameras.
     """
     eyes = cameras.viewpoints
-    low, high = _subject(scene)
-    to_middle = np.einsum("ci,ci->c", 0.5 * (low + high) - eyes, cameras.forwards)
-    distances = np.asarray(np.maximum(to_middle, 0.1 * float((high - low).max())), np.float64)
-    if shows_object(scene, space):
+    to_middle = np.einsum("ci,ci->c", subject.middle - eyes, cameras.forwards)
+    distances = np.asarray(np.maximum(to_middle, 0.1 * float(subject.sides.max())), np.float64)
+    if subject.is_object:
         return distances
     ahead = space.free_distances(eyes, cameras.forwards)
     return np.asarray(np.where(np.isfinite(ahead), ahead, distances), np.float64)
 
 
-def describe_start_views(scene: Gaussians, space: NavigableSpace, **options: Any) -> list[dict[str, Any]]:
+def describe_start_views(
+    scene: Gaussians, space: NavigableSpace, count: int = START_VIEWS, *, drawn: int = 48, seed: int = 0
+) -> list[dict[str, Any]]:
     """Return the start views of a scene as poses, each with its `reach`, the distance of the pivot; may be empty.
 
     Args:
         scene: The scene.
         space: Allowed viewpoints.
-        **options: Those of `choose_start_views`.
+        count: Largest number of views.
+        drawn: Number of cameras to choose from.
+        seed: Seed of the random numbers.
     """
-    cameras = choose_start_views(scene, space, **options)
+    subject = _Subject.of(scene, space)
+    cameras = _choose(scene, space, subject, count, drawn, seed)
     if cameras is None:
         return []
-    reaches = _pivot_distances(scene, space, cameras).tolist()
+    reaches = _pivot_distances(subject, space, cameras).tolist()
     poses = describe_poses(cameras)
     return [pose | {"reach": float(f"{reach:.6g}")} for pose, reach in zip(poses, reaches, strict=True)]
 
 
 def shows_object(scene: Gaussians, space: NavigableSpace) -> bool:
     """Return whether a scene is an object, or may be one and has nothing around it."""
+    return _is_object(space, find_core(scene))
+
+
+def _is_object(space: NavigableSpace, core: Core) -> bool:
+    """Return what `shows_object` returns, for a known core."""
     kind = space.kind
-    return kind.kind == "object" or (kind.other == "object" and not find_core(scene).has_surroundings)
+    return kind.kind == "object" or (kind.other == "object" and not core.has_surroundings)
 
 
-def _subject(scene: Gaussians) -> tuple[F64, F64]:
-    """Return the corners of the box around what a scene shows: its detail, without what lies around it."""
-    core = find_core(scene, _COVERAGE)
-    if core.has_surroundings:
-        return core.detail_low, core.detail_high
-    return core.low, core.high
+class _Subject(NamedTuple):
+    """What a scene shows: its detail, without what lies around it.
+
+    Attributes:
+        low: (3,) low corner of the box around it.
+        high: (3,) high corner.
+        center: (3,) center of the core of the scene.
+        is_object: Whether it is an object, see `shows_object`.
+    """
+
+    low: F64
+    high: F64
+    center: F64
+    is_object: bool
+
+    @property
+    def middle(self) -> F64:
+        """The middle of the box (3,)."""
+        return 0.5 * (self.low + self.high)
+
+    @property
+    def sides(self) -> F64:
+        """The sides of the box (3,)."""
+        return self.high - self.low
+
+    @classmethod
+    def of(cls, scene: Gaussians, space: NavigableSpace) -> _Subject:
+        """Return the subject of a scene."""
+        core = find_core(scene)
+        wide = find_core(scene, _COVERAGE)
+        box = (wide.detail_low, wide.detail_high) if wide.has_surroundings else (wide.low, wide.high)
+        return cls(*box, core.center, _is_object(space, core))
 
 
-def _around(scene: Gaussians, space: NavigableSpace) -> Cameras:
+def _around(subject: _Subject, space: NavigableSpace) -> Cameras:
     """Return cameras around an object that hold all of its box; those whose eyes lie in the space, if any do."""
-    low, high = _subject(scene)
-    middle = 0.5 * (low + high)
-    ends = np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), axis=-1).reshape(-1, 3) - middle
+    middle = subject.middle
+    corners = np.stack([subject.low, subject.high], axis=1)
+    ends = np.stack(np.meshgrid(*corners, indexing="ij"), axis=-1).reshape(-1, 3) - middle
     east = np.cross(space.up, np.eye(3)[np.abs(space.up).argmin()])
     east /= np.linalg.norm(east)
     north = np.cross(space.up, east)
@@ -157,7 +199,7 @@ def _around(scene: Gaussians, space: NavigableSpace) -> Cameras:
     return _looking(found[inside] if inside.any() else found, middle, space)
 
 
-def _within(scene: Gaussians, space: NavigableSpace, drawn: Cameras) -> tuple[Cameras, int]:
+def _within(subject: _Subject, space: NavigableSpace, drawn: Cameras) -> tuple[Cameras, int]:
     """Return level cameras at the eyes of drawn ones, and how many of the first look at the detail of an open place.
 
     In rooms all look to where most room is.
@@ -180,19 +222,18 @@ def _within(scene: Gaussians, space: NavigableSpace, drawn: Cameras) -> tuple[Ca
         eyes = eyes[some]
         wide = sum(np.roll(room[some], k, axis=1) for k in (-1, 0, 1))
         return _looking(eyes, eyes + ways[np.argmax(wide, axis=1)], space), 0
-    low, high = _subject(scene)
-    middle = find_core(scene).center
+    middle = subject.center
     away = middle - eyes
     sight = np.linalg.norm(away, axis=1)
     below = space.free_distances(eyes, np.tile(-space.up, (len(eyes), 1)))
     clear = space.free_distances(eyes, away / sight[:, None]) >= _CLEAR * sight
     level = np.abs(away @ space.up) <= _LEVEL * sight
-    apart = sight >= 0.3 * float(np.linalg.norm(high - low))
+    apart = sight >= 0.3 * float(np.linalg.norm(subject.sides))
     good = np.flatnonzero(np.isfinite(below) & clear & level & apart)
-    subject = eyes[good[np.argsort(below[good], kind="stable")][:_TRIED]]
+    lowest = eyes[good[np.argsort(below[good], kind="stable")][:_TRIED]]
     others = drawn[np.flatnonzero(np.abs(drawn.forwards @ space.up) <= _LEVEL)]
-    aims = np.concatenate([np.broadcast_to(middle, subject.shape), others.viewpoints + others.forwards])
-    return _looking(np.concatenate([subject, others.viewpoints]), aims, space), len(subject)
+    aims = np.concatenate([np.broadcast_to(middle, lowest.shape), others.viewpoints + others.forwards])
+    return _looking(np.concatenate([lowest, others.viewpoints]), aims, space), len(lowest)
 
 
 def _looking(eyes: F64, targets: F64, space: NavigableSpace) -> Cameras:
@@ -201,20 +242,19 @@ def _looking(eyes: F64, targets: F64, space: NavigableSpace) -> Cameras:
     return Cameras.look_at(eyes, aims, up=space.up, width=_SAMPLING.width, height=_SAMPLING.height, fov=_SAMPLING.fov)
 
 
-def _worth(scene: Gaussians, space: NavigableSpace, cameras: Cameras) -> F64:
+def _worth(scene: Gaussians, space: NavigableSpace, subject: _Subject, cameras: Cameras) -> F64:
     """Return (C,) how much each view shows, less for what is in the way: Gaussians, and of an object contrasts.
 
     The front of an object has no more Gaussians than its back, but more to look at.
     """
-    distances = _pivot_distances(scene, space, cameras)
-    is_object = shows_object(scene, space)
+    distances = _pivot_distances(subject, space, cameras)
     found = []
     for c, eye in enumerate(cameras.viewpoints):
         summed = view_weights(scene, cameras[c]).summed[0]
         near = np.linalg.norm(scene.means - eye, axis=1) < _NEAR * distances[c]
         blocked = float(summed[near].sum() / max(float(summed.sum()), 1e-9))
         shown = float(np.count_nonzero(summed >= _SEEN) * summed.sum())  # nobody looks into the void
-        if is_object:
+        if subject.is_object:
             brightness = rasterize(scene, cameras[c]).images[0].mean(axis=2)
             shown = sum(float(np.abs(np.diff(brightness, axis=axis)).sum()) for axis in (0, 1))
         found.append(shown * max(0.0, 1.0 - _IN_THE_WAY * blocked))

@@ -12,15 +12,16 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsvis.color import quantize
+from gsvis.color.evaluate import Evaluator
 from gsvis.color.fit import SrbfFit, fit_srbf, fitted_for_price
-from gsvis.package import Contents, ExactLevel, in_package_order, measure_cost, measure_fidelity
+from gsvis.package import Contents, ExactLevel, PackageOrder, measure_cost, measure_fidelity
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.importance import direction_weights, importance_from_views
 from gsvis.prepare.learned_colors import RENDERS
-from gsvis.prepare.levels import count_eyes, judge
-from gsvis.render.rasterizer import rasterize
+from gsvis.prepare.levels import count_eyes
 from gsvis.render.removal import removal_effects
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -29,9 +30,9 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.choosing import count_looks
 from gsvis.train.fill_in import fit_opacities, views_used
-from gsvis.train.images import render_views
+from gsvis.train.images import PosedImages, render_views
 from gsvis.train.level_quality import measure_levels
-from gsvis.train.level_views import LevelViews, views_to_choose, views_to_train
+from gsvis.train.level_views import views_to_choose, views_to_train
 from gsvis.train.levels import LevelsConfig, frozen_sizes
 from gsvis.train.pairs import merge_pairs
 
@@ -39,6 +40,11 @@ __all__ = ["StageTrial"]
 
 _VIEWS = 3  # views, looks and steps that are timed
 _FITTED = 1024  # Gaussians whose colors are fitted
+_FEW = 8  # Gaussians that load the kernels of colors
+_FITTED_IN = 2  # views in which opacities are fitted
+_MERGED = 1 << 15  # most Gaussians that are merged
+_MERGED_INTO = 32  # of these, merged into one
+_MERGE_POWER = 1.1  # of the number of Gaussians, as which the time of merging grows: more of them miss the caches
 _POLLED = 16  # cameras from which the number of looks is found
 _FAINT = 0.02  # presence of Gaussians that hardly stand in a look that chooses; half of them do
 _STEPS_OF_CLIENT = 5 / 4  # images of a view with visible sets, over those without
@@ -57,7 +63,10 @@ class StageTrial:
     def __init__(
         self, levels: Levels, space: NavigableSpace, config: PrepareConfig, clock: Callable[[], float]
     ) -> None:
-        self._levels = in_package_order(levels)
+        order = PackageOrder.from_levels(levels)
+        self._levels = order.sort(levels)
+        self._order = order.of_sorted()
+        self._fits_warm = False
         self._scene = levels.level(len(levels) - 1)
         self._space = space
         self._config = config
@@ -74,39 +83,62 @@ class StageTrial:
         views = self._config.level_views
         levels = levels.fit_to(len(self._scene))
         cameras = self._cameras(replace(views_to_train(views), count=_VIEWS + 1))
-        seconds = views.count * self._each(lambda camera: rasterize(self._scene, camera), cameras)
+        tried, of_render = self._render(cameras)
+        seconds = views.count * of_render
         if self._config.level_held_out:
-            seconds += self._measuring(levels.seed)
+            seconds += self._measuring()
         if not chosen:
             seconds += self._choice(levels, photos)
-        tried = render_views(self._scene, cameras)
         order = np.argsort(-self._scene.opacities * self._scene.scales.max(axis=1), kind="stable")
         for total, frozen, begun in levels.sizes(len(self._scene)):
             if begun > frozen:
-                stays = np.zeros(len(self._scene), bool)
-                stays[order[:frozen]] = True
-                began = self._clock()
-                merged = merge_pairs(self._scene[~stays], (begun + total) // 2 - frozen)
-                seconds += self._clock() - began
+                stays = self._scene[np.sort(order[:frozen])]
+                rest = np.sort(order[frozen:])
+                merged = _stand_in_of(self._scene, rest, (begun + total) // 2 - frozen)
+                seconds += self._merge_rate * float(len(rest) ** _MERGE_POWER)
                 if not photos:
-                    fit_opacities(
-                        merged, self._scene[stays], render_views(self._scene, cameras[0])
-                    )  # loads the kernels
-                    fit = self._seconds(partial(fit_opacities, merged, self._scene[stays], tried))
-                    seconds += fit * views_used(views.count) / views_used(len(tried))
-                seconds += self._steps(levels, total, merged, self._scene[stays], tried)
+                    seconds += self._fitting(merged, stays, tried[:_FITTED_IN], views.count)
+                seconds += self._steps(levels, total, merged, stays, tried)
         return seconds
 
-    def _measuring(self, seed: int) -> float:
-        """Return the seconds to render held-out views, and to measure levels in them and at other eyes."""
+    def _render(self, cameras: Cameras) -> tuple[PosedImages, float]:
+        """Return images of cameras and the seconds of each; the first is drawn twice, to load the kernels."""
+        render_views(self._scene, cameras[0])
         began = self._clock()
-        held_out = render_views(self._scene, self._cameras(replace(self._config.level_views, count=3)))
-        measure_levels(self._levels, held_out)
-        views = (self._clock() - began) / 3.0 * self._config.level_held_out
-        some = [LevelViews(each, each, "", False, space=self._space) for each in (held_out[:1], held_out)]
-        judge(self._levels, some[0], seed)
-        one, more = (self._seconds(partial(judge, self._levels, each, seed)) for each in some)
-        return views + one + (count_eyes(self._config.level_held_out) - 1) * max(0.0, more - one) / 2.0
+        images = render_views(self._scene, cameras)
+        return images, (self._clock() - began) / len(cameras)
+
+    @cached_property
+    def _merge_rate(self) -> float:
+        """Seconds of merging N Gaussians, over N to the power of `_MERGE_POWER`."""
+        first = self._levels.first
+        some = np.flatnonzero(first == first.max())  # neighbors are near each other there
+        begin = max(0, (len(some) - _MERGED) // 2)
+        block = self._levels.union[some[begin : begin + _MERGED]]
+        count = max(1, len(block) // _MERGED_INTO)
+        merge_pairs(block[:_FITTED], max(1, min(_FITTED, len(block)) // 2))  # loads the kernels
+        seconds = self._seconds(partial(merge_pairs, block, count))
+        return seconds / float(len(block) ** _MERGE_POWER)
+
+    def _fitting(self, merged: Gaussians, stays: Gaussians, tried: PosedImages, views: int) -> float:
+        """Return the seconds to fit the opacities of a level in some of `views` views."""
+        if not self._fits_warm:
+            fit_opacities(merged[:1], stays[:_FITTED], tried[:1])  # loads the kernels
+            self._fits_warm = True
+        fit = self._seconds(partial(fit_opacities, merged, stays, tried))
+        return fit * views_used(views) / views_used(len(tried))
+
+    def _measuring(self) -> float:
+        """Return the seconds to render held-out views, and to measure levels in them and at other eyes.
+
+        At each other eye, a builder's or a judge's, levels are drawn in half the pixels. To find these eyes takes
+        little, and is not counted.
+        """
+        cameras = self._cameras(replace(self._config.level_views, count=_VIEWS))
+        held_out, of_render = self._render(cameras)
+        measured = self._seconds(partial(measure_levels, self._levels, held_out)) / len(cameras)
+        asked = self._config.level_held_out
+        return asked * (of_render + measured) + count_eyes(asked) * measured
 
     def _choice(self, levels: LevelsConfig, photos: bool) -> float:
         """Return the seconds of all looks that choose the frozen Gaussians."""
@@ -131,7 +163,9 @@ class StageTrial:
 
         return looks * self._each(look, self._cameras(replace(views_to_choose(views), count=_VIEWS + 1)))
 
-    def _steps(self, levels: LevelsConfig, total: int, merged: Gaussians, stays: Gaussians, tried: Any) -> float:
+    def _steps(
+        self, levels: LevelsConfig, total: int, merged: Gaussians, stays: Gaussians, tried: PosedImages
+    ) -> float:
         """Return the seconds of the training of a level, the loading of torch included."""
         began = self._clock()
         from gsvis.train.trainer import Trainer
@@ -190,20 +224,23 @@ class StageTrial:
     def cost(self) -> float:
         """Return the seconds to measure the cost of rounding."""
         views = self._config.cost_views
-        return self._measure(views.count, lambda cameras: measure_cost(*self._rounded, cameras), views)
+        levels, exact, packed = self._rounded
+        _, encoding = self._encoded
+        cameras = self._cameras(replace(views, count=_VIEWS))
+        Evaluator(exact[:_FEW]).colors(levels.union.means[:_FEW], cameras.viewpoints[0])  # loads the kernels
+        measured = self._seconds(partial(measure_cost, levels, exact, packed, cameras, order=self._order))
+        return encoding + views.count * max(0.0, measured - encoding) / len(cameras)
 
     def fidelity(self) -> float:
-        """Return the seconds to measure what a client gets."""
-        levels, exact, packed = self._rounded
+        """Return the seconds to measure what a client gets, without sets."""
+        views = self._config.fidelity_views
+        levels, exact, _ = self._rounded
+        contents, encoding = self._encoded
         member = levels.member(len(levels) - 1)
         level = ExactLevel(levels.union[member], exact[member])
-        views = self._config.fidelity_views
-
-        def measure(cameras: Cameras) -> None:
-            """Measure as the stage does, without sets."""
-            measure_fidelity(self._scene, Contents.from_levels(levels, packed), cameras, exact=level)
-
-        return self._measure(_STEPS_OF_CLIENT * views.count, measure, views)
+        cameras = self._cameras(replace(views, count=_VIEWS))
+        measured = self._seconds(partial(measure_fidelity, self._scene, contents, cameras, exact=level))
+        return encoding + _STEPS_OF_CLIENT * views.count * measured / len(cameras)
 
     @cached_property
     def _rounded(self) -> tuple[Levels, Any, Any]:
@@ -212,14 +249,13 @@ class StageTrial:
         colors = found[np.arange(len(self._levels.union)) % len(found)]
         return self._levels, colors, quantize(colors, self._config.colors.precision)
 
-    def _measure(self, count: float, measure: Callable[[Cameras], object], views: Any) -> float:
-        """Return the seconds to measure `count` views, from measurements of one and of three."""
-        cameras = self._cameras(replace(views, count=3))
-        measure(cameras[0])
-        one = self._seconds(lambda: measure(cameras[0]))
-        more = self._seconds(lambda: measure(cameras))
-        each = max(0.0, more - one) / 2.0
-        return one + (count - 1.0) * each
+    @cached_property
+    def _encoded(self) -> tuple[Contents, float]:
+        """The records of these levels, and the seconds to encode them."""
+        levels, _, packed = self._rounded
+        began = self._clock()
+        contents = Contents.from_levels(levels, packed, self._order)
+        return contents, self._clock() - began
 
     def _cameras(self, views: Any) -> Cameras:
         cameras: Cameras = views.cameras(self._scene, self._space)
@@ -235,3 +271,15 @@ class StageTrial:
         began = self._clock()
         work()
         return self._clock() - began
+
+
+def _stand_in_of(scene: Gaussians, ids: NDArray[np.int64], count: int) -> Gaussians:
+    """Return `count` of the Gaussians of a scene, as much larger as fewer: they take as long to draw as merged ones.
+
+    Args:
+        scene: N Gaussians.
+        ids: (M,) those that would be merged.
+        count: Size of the result, 1 to M.
+    """
+    some = scene[ids[np.linspace(0, len(ids) - 1, count).astype(int)]]
+    return replace(some, scales=some.scales * np.float32(math.sqrt(len(ids) / count)))

@@ -32,8 +32,8 @@ F64 = NDArray[np.float64]
 
 _clock = time.perf_counter  # tests set another
 
-_BUDGET = 5.0  # seconds after which no further cell is tried
-_CEILING = 12.0  # seconds that the tried cells may take together, as far as one tells what the next takes
+_BUDGET = 4.0  # seconds after which no further cell is tried
+_CEILING = 10.0  # seconds that the tried cells may take together, as far as one tells what the next takes
 
 # Mean time of a cell over that of the few that are tried: one in ten asks for six looks or more, which a few rarely
 # show. Around an object cells are alike (docs/design/053).
@@ -104,7 +104,7 @@ def estimate_pvs(
         config: Options; None means `PvsConfig()`.
         workers: The workers; None means this process.
         sample: Least number of cells to try; more are tried while that takes a few seconds, and fewer, at least one,
-            where these would take more than twelve.
+            where these would take more than ten.
         progress: Called with stage "trying".
 
     Raises:

@@ -144,6 +144,23 @@ def test_the_order_is_by_level_and_in_a_chunk_by_what_is_likely_to_be_seen() -> 
     assert set(order.starts[:-1].tolist()) <= set(order.chunks.tolist())
 
 
+def test_an_order_that_is_known_gives_the_same_records() -> None:
+    levels = levels_of(3000)
+    mixed = np.random.default_rng(0).permutation(3000)
+    other = Levels(levels.union[mixed], levels.first[mixed], levels.last[mixed], levels.names)
+    order = orders.PackageOrder.from_levels(other)
+    ordered = order.sort(other)
+    assert scene_hash(ordered.union) == scene_hash(in_package_order(other).union)
+    colors = colors_of(3000)[1]
+    found = Contents.from_levels(ordered, colors)
+    known = Contents.from_levels(ordered, colors, order.of_sorted())
+    np.testing.assert_array_equal(known.records, found.records)
+    np.testing.assert_array_equal(known.starts, found.starts)
+    np.testing.assert_array_equal(known.table.starts, found.table.starts)
+    with pytest.raises(ValueError, match="expected the order of a package"):
+        Contents.from_levels(ordered, colors, order)
+
+
 @pytest.mark.usefixtures("many_parts")
 def test_a_second_run_writes_nothing_and_an_edit_little(tmp_path: Path) -> None:
     levels, (_, colors) = levels_of(2000), colors_of(2000)
