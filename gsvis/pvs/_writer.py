@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -22,6 +22,7 @@ from gsvis.files.atomic import atomic_path
 from gsvis.files.cache import Cache
 from gsvis.files.limits import MAX_EXPANSION
 from gsvis.files.sections import FileKind, SectionFile, SectionWriter
+from gsvis.jobs.in_order import in_order
 from gsvis.progress import Progress, silent
 from gsvis.pvs import _order
 from gsvis.pvs import codec as _codec
@@ -241,22 +242,22 @@ class StoreWriter:
         places = np.empty(n, np.int32)
         places[order] = np.arange(n, dtype=np.int32)
         everything = np.zeros(_codec.word_count(n), np.uint64)
-        for cell in range(len(self)):
-            words = self._set(cell)
-            everything |= words
-            stored = np.zeros_like(words)
-            kernels.scatter(words, places, stored)
+
+        def scattered() -> Iterator[NDArray[np.uint64]]:
+            """Yield the set of each cell in the order of the store."""
+            for cell in range(len(self)):
+                words = self._set(cell)
+                np.bitwise_or(everything, words, out=everything)
+                stored = np.zeros_like(words)
+                kernels.scatter(words, places, stored)
+                yield stored
+
+        for cell, packed in enumerate(in_order(_codec.encode_set, scattered())):
             row = self._rows[cell]
-            row["set_offset"], row["set_length"], row["set_crc"] = container.append(_codec.encode_set(stored))
+            row["set_offset"], row["set_length"], row["set_crc"] = container.append(packed)
             progress("store", (cell + 1) // 2, len(self))
         container.close_section("sets")
-        for cell in range(len(self)):
-            levels = self._levels(cell)[order]
-            parent = int(self._rows["parent"][cell])
-            above = self._levels(parent)[order] if parent >= 0 else None
-            stored = np.zeros(_codec.word_count(n), np.uint64)
-            kernels.mark(np.flatnonzero(levels), stored)
-            packed = _codec.encode_classes(stored, levels, above, len(self.info.class_edges))
+        for cell, packed in enumerate(in_order(self._encode_classes, self._iter_levels(order))):
             row = self._rows[cell]
             row["class_offset"], row["class_length"], row["class_crc"] = container.append(packed)
             progress("store", (len(self) + cell + 1) // 2, len(self))
@@ -265,6 +266,20 @@ class StoreWriter:
         kernels.scatter(everything, places, stored)
         container.append(_codec.encode_set(stored))
         container.close_section("ever")
+
+    def _iter_levels(self, order: NDArray[np.int32]) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8] | None]]:
+        """Yield the levels of each cell and of its parent, (N,) each, in the order of the store; None for no parent."""
+        for cell in range(len(self)):
+            parent = int(self._rows["parent"][cell])
+            above = self._levels(parent)[order] if parent >= 0 else None
+            yield self._levels(cell)[order], above
+
+    def _encode_classes(self, levels: tuple[NDArray[np.uint8], NDArray[np.uint8] | None]) -> bytes:
+        """Return the bytes of the classes of a cell from its levels and those of its parent."""
+        own, above = levels
+        stored = np.zeros(_codec.word_count(self.info.gaussians), np.uint64)
+        kernels.mark(np.flatnonzero(own), stored)
+        return _codec.encode_classes(stored, own, above, len(self.info.class_edges))
 
     def _write_rest(self, container: SectionWriter, labels: NDArray[np.uint16], sets: NDArray[np.uint8]) -> None:
         """Write all sections after the sets, and the header."""

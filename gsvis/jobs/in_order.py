@@ -1,0 +1,36 @@
+"""Call a function for many items in a few threads, and yield the results in the order of the items."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
+
+from numba import get_num_threads
+
+__all__ = ["in_order"]
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+
+def in_order(function: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:
+    """Yield function(item) for each item, in order. Items are taken in the caller's thread, a few ahead.
+
+    Threads are as many as those of kernels. So this pays where a function spends its time in kernels or compression,
+    which hold no lock of Python.
+
+    Args:
+        function: Called in other threads, for several items at the same time.
+        items: Anything; at most one item more than there are threads waits.
+    """
+    threads = get_num_threads()
+    waiting: deque[Future[_Result]] = deque()
+    with ThreadPoolExecutor(threads, thread_name_prefix="gsvis-order") as pool:
+        for item in items:
+            waiting.append(pool.submit(function, item))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
