@@ -196,7 +196,7 @@ def measure_systems(
             begun = time.perf_counter()
             try:
                 made[key] = out, prepare(scene, out, config, {} if base is None else base[1])
-            except GsvisError as error:
+            except (GsvisError, ValueError) as error:
                 print(f"{system.name}: cannot be prepared: {error}", file=sys.stderr, flush=True)
                 failed[system.name] = str(error)
                 continue

@@ -178,7 +178,8 @@ class LevelsConfig:
             frozen = max(int(np.ceil(reuse * total - 1e-9)), 1) if reuse else 0
             if total < 2:
                 raise ArgumentError("shares", f"expected at least 2 Gaussians in each level, got {share:g} of {count}")
-            found.append((total, frozen, min(frozen + max(round(self.merged * (total - frozen)), 1), total)))
+            merged = self.merged if frozen or self.merged else 1.0  # nothing stays that could be cloned
+            found.append((total, frozen, min(frozen + max(round(merged * (total - frozen)), 1), total)))
         return found
 
     def training(self, most_count: int, sh_degree: int) -> TrainConfig:
@@ -286,7 +287,7 @@ def train_levels(
             owns.append(scene[stays][:0])
             histories[name] = []
             continue
-        if config.merged == 0.0:
+        if config.merged == 0.0 and frozen:
             begin = _clone_one(scene[stays])
         else:
             begin = merge_pairs(scene[~stays], begun - frozen)

@@ -54,6 +54,15 @@ def held_out(scene: Gaussians) -> PosedImages:
     return render_views(scene, Cameras.orbit((0, 0, 0), 3.7, 3, elevation=35.0, width=24, height=20))
 
 
+def test_a_preview_begins_with_merges_where_others_clone(scene: Gaussians, views: PosedImages) -> None:
+    config = replace(BRIEF, merged=0.0, preview=0.02, preview_from=1)
+    total, frozen, begun = config.sizes(COUNT)[0]
+    assert (frozen, begun) == (0, total)
+    levels = train_levels(scene, views, config).levels
+    assert levels.names[0] == "preview"
+    assert 1 < len(levels.level(0)) <= total
+
+
 @pytest.fixture(scope="module")
 def trained(scene: Gaussians, views: PosedImages, held_out: PosedImages) -> TrainedLevels:
     return train_levels(scene, views, CONFIG, held_out=held_out)
