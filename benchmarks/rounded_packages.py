@@ -1,6 +1,7 @@
 """How small is a whole package, if its records are rounded as coarsely as images keep a wanted PSNR?
 
-Records and terms of packages are rounded anew; visible sets, chunks and manifest stay. Views of the choice are those of
+Records and terms of packages are rounded anew, and visible sets are written again as `prepare` writes them, which
+changes no set; chunks and manifest stay. Views of the choice are those of
 `gsvis prepare --record-psnr`; the judge's eyes are drawn by another seed with another field of view. With photographs
 (--photos, as the arena has them: every eighth is held out), they judge too.
 
@@ -15,6 +16,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -28,6 +30,8 @@ from gsvis.package.manifest import MANIFEST
 from gsvis.package.rounding import round_records, round_terms
 from gsvis.prepare import PrepareConfig
 from gsvis.prepare.record_limits import cameras_of_choice, search_limits
+from gsvis.pvs.joined import join_until_small
+from gsvis.pvs.store import VisibilityStore
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.navigable import NavigableSpace
@@ -59,13 +63,22 @@ def spread(images: Images, truth: Images) -> Spread:
     return Spread.from_values([min(100.0, float(psnr(a, b))) for a, b in zip(images, truth, strict=True)])
 
 
+def bytes_of_sets(store: VisibilityStore) -> int:
+    """Return the bytes of visible sets, written again."""
+    with TemporaryDirectory() as folder:
+        written = Path(folder) / "shipped.pvs"
+        join_until_small(store, written, may_join=False)
+        return written.stat().st_size
+
+
 def measure(path: Path, sog: int, options: argparse.Namespace) -> list[dict[str, Any]]:
     """Return the rows of a package: as it is, and for each wanted PSNR."""
     with Package.open(path) as package:
         contents = package.contents
         sizes = package.manifest.sizes()
         up = package.manifest.info.up
-    rest = sizes["chunks"] + sizes["visibility"] + (path / MANIFEST).stat().st_size
+        sets = bytes_of_sets(package.visibility)
+    rest = sizes["chunks"] + sets + (path / MANIFEST).stat().st_size
     levels = contents.levels()
     space = NavigableSpace.from_scene(levels.level(len(levels) - 1), up=up)
     choice = cameras_of_choice(levels, space, PrepareConfig.cost_views, options.photos)
@@ -90,7 +103,7 @@ def measure(path: Path, sog: int, options: argparse.Namespace) -> list[dict[str,
         blocks = bytes_of_blocks(rounded)
         terms = bytes_of_blocks(replace(rounded, term_counts=rounded.term_counts * 0, term_records=_none(rounded)))
         row: dict[str, Any] = {"package": path.name, "wanted": wanted, "gaussians": len(contents)}
-        row |= {"records": terms, "terms": blocks - terms, "sets": sizes["visibility"], "all": blocks + rest}
+        row |= {"records": terms, "terms": blocks - terms, "sets": sets, "all": blocks + rest}
         row |= {"over sog": (blocks + rest) / sog if sog else None}
         row |= {f"{name} dB": value for name, value in spread(drawn(rounded, judges), truth).as_dict().items()}
         if photos is not None:
@@ -109,9 +122,12 @@ def _none(contents: Contents) -> NDArray[np.uint8]:
 def figures_of(row: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the figures of a row."""
     label = f"{row['package']}, {'all bits' if row['wanted'] is None else format(row['wanted'], 'g') + ' dB'}"
-    found = [(f"{label}: whole package", None, row["all"] / 1e6, "MB", "lower")]
+    found: list[tuple[str, float | None, float, str, str]] = [
+        (f"{label}: whole package", None, row["all"] / 1e6, "MB", "lower")
+    ]
     if row["over sog"] is not None:
         found.append((f"{label}: over the SOG of its highest level", OVER_SOG, row["over sog"], "times", "lower"))
+    found.append((f"{label}: sets", 0.2, row["sets"] / row["all"], "of the bytes", "lower"))
     found.append((f"{label}: against all bits", row["wanted"], row["psnr dB"], "dB", "higher"))
     if "photographs dB" in row:
         found.append((f"{label}: against held-out photographs", None, row["photographs dB"], "dB", "higher"))

@@ -40,7 +40,7 @@ __all__ = ["VERSIONS", "StageRecord", "Stages", "hash_levels"]
 VERSIONS = {
     "levels": 9,
     "sets": 7,
-    "joined": 3,
+    "joined": 4,
     "colors": 6,
     "epsilon": 1,
     "rounding": 2,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gsvis.pvs import codec as _codec
 from gsvis.pvs._kernels import store as kernels
 
-__all__ = ["KEY_CELLS", "MAX_DEPTH", "choose_labels", "key_cells", "order_of", "parents_of"]
+__all__ = ["KEY_CELLS", "MAX_DEPTH", "choose_labels", "key_cells", "order_of", "parents_in_groups", "parents_of"]
 
 KEY_CELLS = 128
 """Cells whose sets make the signatures. More cells gain little, and each costs N / 8 bytes of memory."""
@@ -208,38 +208,99 @@ def _chain(centers: U64) -> NDArray[np.int64]:
     return chain
 
 
-def parents_of(edges: list[tuple[int, int, int]], cells: int) -> NDArray[np.int32]:
+def parents_of(edges: list[tuple[int, int, int]], cells: int, depth: int = MAX_DEPTH) -> NDArray[np.int32]:
     """Return (C,) int32, a parent for each cell; -1 for none.
 
-    A cell shares many Gaussians with its parent, and no chain of parents is longer than `MAX_DEPTH`. Trees grow from
+    A cell shares many Gaussians with its parent, and no chain of parents is longer than `depth`. Trees grow from
     the cell that shares most with its neighbors. Each step adds the pair with most shared Gaussians that reaches a new
     cell.
 
     Args:
         edges: Pairs of neighbors (shared, a, b): how many Gaussians both see.
         cells: C.
+        depth: Longest chain of parents.
     """
+    beside = _beside(edges, cells)
+    parents = np.full(cells, -1, np.int32)
+    depths = np.full(cells, -1)
+    strength = [sum(shared for shared, _ in pairs) for pairs in beside]
+    for root in sorted(range(cells), key=lambda cell: (-strength[cell], cell)):
+        if depths[root] < 0:
+            depths[root] = 0
+            _grow(root, beside, depth, parents, depths)
+    return parents
+
+
+def parents_in_groups(
+    heads: NDArray[np.int32], within: list[tuple[int, int, int]], among: list[tuple[int, int, int]], cells: int
+) -> NDArray[np.int32]:
+    """Return (C,) int32, a parent for each cell; -1 for none. Cells of a group give a Gaussian the same class.
+
+    So a cell with a parent of its own group needs classes for what that does not see alone. The heads of groups are
+    connected first, then the other cells of each group to its head.
+
+    Args:
+        heads: (G,) a cell of each group.
+        within: Pairs of cells of one group (shared, a, b): how many Gaussians both see.
+        among: Pairs of groups (shared, a, b): how many Gaussians their heads give the same class.
+        cells: C.
+    """
+    above = parents_of(among, len(heads), MAX_DEPTH - 1)
+    parents = np.full(cells, -1, np.int32)
+    parents[heads] = np.where(above >= 0, heads[above], -1)
+    depths = np.full(cells, -1)
+    depths[heads] = _depths_of(above)
+    beside = _beside(within, cells)
+    for head in heads.tolist():
+        _grow(head, beside, MAX_DEPTH, parents, depths)
+    return parents
+
+
+def _beside(edges: list[tuple[int, int, int]], cells: int) -> list[list[tuple[int, int]]]:
+    """Return the pairs (shared, other) of each cell that share something."""
     beside: list[list[tuple[int, int]]] = [[] for _ in range(cells)]
     for shared, a, b in edges:
         if shared > 0:
             beside[a].append((shared, b))
             beside[b].append((shared, a))
-    parents = np.full(cells, -1, np.int32)
-    depths = np.full(cells, -1)
-    strength = [sum(shared for shared, _ in pairs) for pairs in beside]
-    for root in sorted(range(cells), key=lambda cell: (-strength[cell], cell)):
-        if depths[root] >= 0:
+    return beside
+
+
+def _grow(
+    root: int,
+    beside: list[list[tuple[int, int]]],
+    most: int,
+    parents: NDArray[np.int32],
+    depths: NDArray[np.int64],
+) -> None:
+    """Add cells to the tree of a cell whose depth is known, the pair that shares most first.
+
+    Args:
+        root: The cell.
+        beside: Pairs (shared, other) of each cell.
+        most: Largest depth.
+        parents: (C,) written.
+        depths: (C,) written; below 0 for cells that are in no tree.
+    """
+    waiting = [(-shared, root, cell) for shared, cell in beside[root]]
+    heapq.heapify(waiting)
+    while waiting:
+        _, parent, cell = heapq.heappop(waiting)
+        if depths[cell] >= 0:
             continue
-        depths[root] = 0
-        waiting = [(-shared, root, cell) for shared, cell in beside[root]]
-        heapq.heapify(waiting)
-        while waiting:
-            _, parent, cell = heapq.heappop(waiting)
-            if depths[cell] >= 0:
-                continue
-            parents[cell], depths[cell] = parent, depths[parent] + 1
-            if depths[cell] < MAX_DEPTH:
-                for shared, further in beside[cell]:
-                    if depths[further] < 0:
-                        heapq.heappush(waiting, (-shared, cell, further))
-    return parents
+        parents[cell] = parent
+        depths[cell] = depths[parent] + 1
+        if depths[cell] < most:
+            for shared, further in beside[cell]:
+                if depths[further] < 0:
+                    heapq.heappush(waiting, (-shared, cell, further))
+
+
+def _depths_of(parents: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Return the number of parents above each cell."""
+    depths = np.zeros(len(parents), np.int64)
+    at = parents
+    while (at >= 0).any():
+        depths += at >= 0
+        at = np.where(at >= 0, parents[at], -1)
+    return depths

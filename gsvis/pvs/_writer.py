@@ -205,11 +205,15 @@ class StoreWriter:
         self._spill.write(packed[0] + packed[1])
         self._places.append((start, len(packed[0]), len(packed[1])))
 
-    def finish(self, direction_sets: ArrayLike, *, progress: Progress = silent) -> Path:
+    def finish(
+        self, direction_sets: ArrayLike, *, groups: ArrayLike | None = None, progress: Progress = silent
+    ) -> Path:
         """Encode all cells and write the file.
 
         Args:
             direction_sets: (N, 10) uint8.
+            groups: (C,) the group of each cell, from 0: cells of a group give a Gaussian the same class. None for no
+                groups. They make the file smaller, and change nothing else.
             progress: Called with stage "store".
 
         Returns:
@@ -227,7 +231,10 @@ class StoreWriter:
             raise ValueError(f"cells: expected {len(self.grid)}, got {len(self)}; add_cell the others first")
         progress("store", 0, len(self))
         labels = _order.choose_labels(self.info.gaussians, len(self), self._set)
-        self._rows["parent"] = _order.parents_of(self._count_shared(), len(self))
+        if groups is None:
+            self._rows["parent"] = _order.parents_of(self._count_shared(), len(self))
+        else:
+            self._rows["parent"] = self._parents_in_groups(_check.integers("groups", groups, (len(self),)))
         with atomic_path(self.path) as partial, partial.open("wb") as file:
             container = SectionWriter(file, FILE_KIND)
             self._write_sets(container, labels, progress)
@@ -314,6 +321,26 @@ class StoreWriter:
                 if other < cell:
                     edges.append((kernels.count_shared(self._set(cell), self._set(other)), other, cell))
         return edges
+
+    def _parents_in_groups(self, groups: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Return the parents of cells, where those of a group give a Gaussian the same class."""
+        shared = self._count_shared()
+        within = [edge for edge in shared if groups[edge[1]] == groups[edge[2]]]
+        touching = {(int(groups[a]), int(groups[b])) for _, a, b in shared if groups[a] != groups[b]}
+        visible = self._rows["visible"].astype(np.int64)
+        order = np.lexsort((np.arange(len(self)), -visible, groups))  # of each group the cell that sees most first
+        first = np.concatenate([[True], np.diff(groups[order]) != 0])
+        heads = order[first].astype(np.int32)
+        among = []
+        for a, b in sorted({(min(pair), max(pair)) for pair in touching}):
+            alike = self._count_alike(int(heads[a]), int(heads[b]))
+            among.append((alike, a, b))
+        return _order.parents_in_groups(heads, within, among, len(self))
+
+    def _count_alike(self, cell: int, other: int) -> int:
+        """Return to how many Gaussians two cells give the same class."""
+        levels = self._levels(cell)
+        return int(np.count_nonzero((levels == self._levels(other)) & (levels > 0)))
 
     def _set(self, cell: int) -> NDArray[np.uint64]:
         """Return the set of a cell as packed words, scene order."""

@@ -206,7 +206,7 @@ def share_classes(store: VisibilityStore, target: str | PathLike[str], side: int
             )
             if last[cube] == cell:
                 del known[cube]
-        writer.finish(store.direction_sets)
+        writer.finish(store.direction_sets, groups=of)
 
 
 def walks_through(grid: CellGrid) -> tuple[tuple[int, ...], ...]:

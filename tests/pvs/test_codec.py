@@ -188,6 +188,23 @@ def test_parents_are_neighbors_and_chains_are_short(edges: list[tuple[int, int, 
             assert parents[cell] == -1
 
 
+@given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 11), st.integers(0, 11)), max_size=60))
+def test_groups_hang_on_their_heads_and_chains_are_short(edges: list[tuple[int, int, int]]) -> None:
+    groups = np.arange(12) // 3
+    heads = np.arange(0, 12, 3, dtype=np.int32)
+    within = [edge for edge in edges if edge[1] != edge[2] and groups[edge[1]] == groups[edge[2]]]
+    among = [(shared, a % 4, b % 4) for shared, a, b in edges if a % 4 != b % 4]
+    parents = _order.parents_in_groups(heads, within, among, 12)
+    for cell in range(12):
+        depth, at = 0, cell
+        while parents[at] >= 0:
+            crosses = groups[at] != groups[parents[at]]
+            assert not crosses or {at, int(parents[at])} <= set(heads.tolist())
+            at = int(parents[at])
+            depth += 1
+        assert depth <= _order.MAX_DEPTH
+
+
 def test_the_cache_forgets_what_was_used_longest_ago() -> None:
     cache, array = Cache(300), np.zeros(100, np.uint8)
     for key in "abc":

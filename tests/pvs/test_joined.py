@@ -95,6 +95,16 @@ def test_cubes_of_cells_share_the_mean_of_their_classes(tmp_path: Path, side: in
                 assert classes.tolist() == [int(np.mean(given[int(i)]) + 0.5) for i in ids]
 
 
+def test_shared_classes_are_read_from_a_cell_of_the_same_cube(tmp_path: Path) -> None:
+    with noise_store(tmp_path / "own.pvs", 6) as own:
+        share_classes(own, tmp_path / "shared.pvs", 2)
+        with VisibilityStore.open(tmp_path / "shared.pvs") as shared:
+            cubes = shared.grid.coords // 2
+            parents = shared._rows["parent"].astype(np.int64)
+            apart = (cubes != cubes[parents]).any(axis=1) | (parents < 0)
+            assert apart.sum() == len(np.unique(cubes, axis=0))  # one of each cube, its head
+
+
 def test_cells_are_joined_until_sets_are_a_fifth_and_no_longer(tmp_path: Path) -> None:
     most = MOST_SHARE * RECORD_BYTES * GAUSSIANS
     with noise_store(tmp_path / "fine.pvs") as fine:
