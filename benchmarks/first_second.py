@@ -43,14 +43,17 @@ FINE = np.round(np.arange(0.05, 3.0001, 0.05), 2)
 CONFIG = ViewingConfig(seconds=3.0, width=320, height=240, fov=80.0)
 SEED = 4545
 MOST_WARM = 20
+ASIDE = 0.3  # deviation of where an eye looks, about its way to the middle
 
 
 def eyes_of(stage: Stage, centers: np.ndarray, up: np.ndarray, count: int) -> list[HeadPath]:
-    """Return paths of clients that stand in cells, look along the ground, and see something."""
+    """Return paths of clients that stand in cells, look along the ground to the middle, and see something."""
     rng = np.random.default_rng(SEED)
+    middle = np.median(stage.drawn.means, axis=0)
     found: list[HeadPath] = []
     for cell in rng.permutation(len(centers)):
-        ahead = rng.normal(size=3)
+        ahead = middle - centers[cell]
+        ahead = ahead / np.linalg.norm(ahead) + rng.normal(0.0, ASIDE, 3)
         ahead -= up * (ahead @ up)
         ahead /= np.linalg.norm(ahead)
         turn = np.stack([np.cross(-up, ahead), -up, ahead], axis=1)  # x right, y down, z forward

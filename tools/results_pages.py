@@ -182,6 +182,7 @@ PAGES = {
             "package_edit_showroom",
             "package_edit_nika",
             "shaped_link",
+            "first_second",
             "scaling",
         ),
     ),
