@@ -387,6 +387,7 @@ def montage(rows: Sequence[Sequence[F32]], titles: Sequence[str], names: Sequenc
         for axes, image in zip(row, images, strict=True):
             axes.imshow(image)
             axes.set_axis_off()
+            axes.set_anchor("S")  # what room is left goes to the titles
     for axes, title in zip(panels[0], titles, strict=True):
         axes.set_title(title, fontsize=10)
     for axes, name in zip(panels[:, 0], names, strict=False):
