@@ -138,6 +138,7 @@ PAGES = {
             "learned_colors",
             "learned_colors_hsl",
             "learned_renders",
+            "learned_worst",
             "train_srbf_spaces",
         ),
     ),
