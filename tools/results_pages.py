@@ -155,7 +155,9 @@ PAGES = {
             "importance",
         ),
     ),
-    "paper": Page("What each departure from the paper is worth", ("paper_pieces", "paper_pieces_nika", "paper_pieces_bonsai")),
+    "paper": Page(
+        "What each departure from the paper is worth", ("paper_pieces", "paper_pieces_nika", "paper_pieces_bonsai")
+    ),
     "arena": Page("Systems that are trained on the same photographs", ("arena",)),
     "streaming": Page(
         "Streaming",
