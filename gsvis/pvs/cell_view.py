@@ -271,7 +271,11 @@ class Finder:
         faint = _FINE_FLOOR * self.config.tau
         known = view.best[prepared.ids] >= 0
         options = LookOptions(
-            size=min(_PROBE_SIZE, self.config.size), floor=max(_PROBE_FLOOR, faint), faint=faint, known=known
+            size=min(_PROBE_SIZE, self.config.size),
+            floor=max(_PROBE_FLOOR, faint),
+            faint=faint,
+            hull=False,  # what it rejects is looked at finely
+            known=known,
         )
         ids, weights = prepared.look(eye, options)
         missing = ~known[ids]
