@@ -304,7 +304,7 @@ def view_psnr(package: Package, scene: Scene, level: int) -> list[float]:
 
 
 def sessions(scene: Scene, package: Package, system: System, options: argparse.Namespace) -> list[dict[str, Any]]:
-    """Return the figures of a session for each walk and link."""
+    """Return the figures of a session for each walk and link; walks that see nothing of the scene have none."""
     command = parse(["serve", "a", *system.serve])
     assert isinstance(command, Serve)
     sending = command.sending
@@ -325,7 +325,7 @@ def sessions(scene: Scene, package: Package, system: System, options: argparse.N
             for rate in options.mbit
         ]
         rows += [seen.figures() for seen in watch(stage, played, walk, config)]
-    return rows
+    return [row for row in rows if row["score"] is not None]
 
 
 def compare(row: dict[str, Any], base: dict[str, Any]) -> dict[str, Any]:
@@ -336,7 +336,7 @@ def compare(row: dict[str, Any], base: dict[str, Any]) -> dict[str, Any]:
     apart["seconds"] = sum(row["seconds"].values()) - sum(base["seconds"].values())
     for name in ("score", "psnr"):
         mine, theirs = ([each[name] for each in one["sessions"]] for one in (row, base))
-        apart[f"session_{name}"] = paired_difference(mine, theirs).as_dict() if len(mine) > 1 else None
+        apart[f"session_{name}"] = paired_difference(mine, theirs).as_dict() if len(mine) == len(theirs) > 1 else None
     return apart
 
 
