@@ -63,6 +63,16 @@ def test_rows_are_compared_with_the_first() -> None:
     assert reached == pytest.approx([2.0, 2.0, 2.0, 0.2, 2.0])
 
 
+def test_rows_without_sessions_have_no_difference_of_sessions() -> None:
+    rows = [{**row(value, 0.0), "sessions": [], "cell": None} for value in (10.0, 12.0)]
+    for each in rows:
+        each["against"] = pieces.compare(each, rows[0])
+    assert rows[1]["against"]["session_score"] is None
+    assert "cell" not in rows[1]["against"]
+    assert pieces.table(rows).splitlines()[-1] == "| 12 | 12.00 | 12.00 | - | 12.00 | 0.001 | 12.0 | - | - |"
+    assert len(pieces.figures_of(rows)) == 4
+
+
 def test_what_is_wrong_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     for words in (["--scene", "none.ply"], ["--scene", "builtin:nothing"], ["--walks", "none.csv"]):
         monkeypatch.setattr("sys.argv", ["pieces.py", *words])
