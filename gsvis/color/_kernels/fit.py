@@ -26,7 +26,7 @@ __all__ = ["fit_lobes", "settle_lobes"]
 _BLOCK = 64
 _PATIENCE = 4
 """Refinements after a choice, each with more emphasis on shorter prefixes, until the error falls along them."""
-_UNPAID = 3
+_UNPAID = 2
 """Lobes in a row that are not worth their price, after which no more are tried."""
 
 
