@@ -49,7 +49,7 @@ class FixedView:
         self._features = np.zeros((len(self._splats.ids), 4), np.float32)
         marks = np.zeros(len(self._features), np.uint8)
         _kernels.mark_blended(
-            self._splats.splats, self._features, *self._lists, self._view.tiles[0], camera.width, camera.height, marks
+            self._splats.splats, *self._lists, self._view.tiles[0], camera.width, camera.height, marks
         )
         self._places = np.flatnonzero(marks)
         self.ids = self._splats.ids[self._places].astype(np.int64)
@@ -80,7 +80,6 @@ class FixedView:
         splats = self._splats
         _kernels.gather_tiles(
             splats.splats,
-            self._features,
             *self._lists,
             splats.pair_of,
             self._view.tiles[0],

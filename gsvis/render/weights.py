@@ -162,9 +162,8 @@ def _tile_means(images: F32) -> NDArray[np.float64]:
 def _weigh_pairs(view: View, projected: Projected) -> F32:
     """Return (P, 2) the largest and the summed weight of each pair of a splat and a tile."""
     pairs = np.empty((len(projected.members), 2), np.float32)
-    colorless = np.zeros((len(projected.ids), 4), np.float32)
     lists = projected.offsets, projected.members, projected.pair_of, view.tiles[0]
-    _kernels_tiles.weigh_tiles(projected.splats, colorless, *lists, view.width, view.height, pairs)
+    _kernels_tiles.weigh_tiles(projected.splats, *lists, view.width, view.height, pairs)
     return pairs
 
 

@@ -10,21 +10,20 @@ import numpy as np
 from gsvis._kernels.compiled import kernel
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.threads import in_parts, in_threads
-from gsvis.render._kernels.lanes import RECORD, gather, weigh
-from gsvis.render._kernels.tiles import _BATCH, TILE, _allocate, _open_tile, _prepare
+from gsvis.render._kernels.lanes import gather, weigh
+from gsvis.render._kernels.tiles import BATCH, open_tile, prepare_shapes
 
 __all__ = ["gather_tiles", "mark_blended", "sum_shares"]
 
 
-@in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
+@in_threads(lambda splats, offsets, *_: len(offsets) - 1)
 @kernel(error_model="numpy")
-def mark_blended(taken, splats, features, offsets, members, tiles_x, width, height, marks):
+def mark_blended(taken, splats, offsets, members, tiles_x, width, height, marks):
     """Write 1 into marks (M,) uint8 for each splat with a weight above 0 at a pixel.
 
     Args:
         taken: Counter of `take_next`; the caller leaves it out.
         splats: (M, 8) float64, see `_kernels.project`.
-        features: (M, 4) float32, unused.
         offsets: (tiles + 1,) int64, the list of each tile.
         members: (P,) int32, the splats of the lists, front to back.
         tiles_x: Number of tiles across.
@@ -35,19 +34,14 @@ def mark_blended(taken, splats, features, offsets, members, tiles_x, width, heig
     tiles = len(offsets) - 1
     tile = take_next(taken)
     while tile < tiles:
-        left = (tile % tiles_x) * TILE
-        top = (tile // tiles_x) * TILE
-        state, gates, rows, _ = _open_tile(left, top, width, height)
-        records = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD))
-        todo = np.empty(_BATCH, np.int64)
-        lit = np.full(1, (1 << rows) - 1)
-        first = offsets[tile]
-        total = offsets[tile + 1] - offsets[tile]
-        for start in range(0, total, _BATCH):
+        place, (first, total), room = open_tile(tile, offsets, tiles_x, width, height)
+        left, top, _, _ = place
+        state, gates, records, todo, lit = room
+        for start in range(0, total, BATCH):
             if lit[0] == 0:
                 break
-            count = min(_BATCH, total - start)
-            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+            count = min(BATCH, total - start)
+            prepare_shapes(splats, members, first, start, count, left, top, gates, records, todo)
             for j in range(count):
                 largest, _ = weigh(state, records, j, todo[j] & lit[0], lit)
                 if largest > 0.0:
@@ -55,15 +49,14 @@ def mark_blended(taken, splats, features, offsets, members, tiles_x, width, heig
         tile = take_next(taken)
 
 
-@in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
+@in_threads(lambda splats, offsets, *_: len(offsets) - 1)
 @kernel(error_model="numpy")
-def gather_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, v_image, out):
+def gather_tiles(taken, splats, offsets, members, pair_of, tiles_x, v_image, out):
     """Write the gradient by the color of every (tile, splat) pair into out (P, 4) float32; the last is 0.
 
     Args:
         taken: Counter of `take_next`; the caller leaves it out.
         splats: (M, 8) float64.
-        features: (M, 4) float32, unused.
         offsets: (tiles + 1,) int64, the list of each tile.
         members: (P,) int32, the splats of the lists, front to back.
         pair_of: (P,) int32, the number of each pair.
@@ -75,22 +68,17 @@ def gather_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, v_
     tiles = len(offsets) - 1
     tile = take_next(taken)
     while tile < tiles:
-        left = (tile % tiles_x) * TILE
-        top = (tile // tiles_x) * TILE
-        state, gates, rows, columns = _open_tile(left, top, width, height)
+        place, (first, total), room = open_tile(tile, offsets, tiles_x, width, height)
+        left, top, rows, columns = place
+        state, gates, records, todo, lit = room
         for r in range(rows):
             for k in range(columns):
                 for c in range(3):
                     state[r, 1 + c, k] = v_image[top + r, left + k, c]
-        records = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD))
-        todo = np.empty(_BATCH, np.int64)
-        lit = np.full(1, (1 << rows) - 1)
-        first = offsets[tile]
-        total = offsets[tile + 1] - offsets[tile]
         done = 0
         while done < total and lit[0] != 0:
-            count = min(_BATCH, total - done)
-            _prepare(splats, features, members, first, done, count, left, top, gates, records, todo)
+            count = min(BATCH, total - done)
+            prepare_shapes(splats, members, first, done, count, left, top, gates, records, todo)
             for j in range(count):
                 gather(state, records, j, todo[j] & lit[0], lit, out, np.int64(pair_of[first + done + j]))
             done += count

@@ -20,8 +20,8 @@ from gsvis._kernels.compiled import kernel, uncounted
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.simd import Builder, Vector
 from gsvis._kernels.threads import in_threads
-from gsvis.render._kernels.lanes import LANES, RECORD, STOP, T, _each_row, _load, _Record, _store
-from gsvis.render._kernels.tiles import _BATCH, _allocate, _open_tile, _prepare
+from gsvis.render._kernels.lanes import LANES, STOP, T, _each_row, _load, _Record, _store
+from gsvis.render._kernels.tiles import BATCH, open_tile, prepare
 
 __all__ = ["add_pairs", "remove_tiles"]
 
@@ -186,28 +186,23 @@ def remove_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, ba
     tiles = len(offsets) - 1
     tile = take_next(taken)
     while tile < tiles:
-        left = (tile % tiles_x) * TILE
-        top = (tile // tiles_x) * TILE
-        state, gates, rows, columns = _open_tile(left, top, width, height)
-        records = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD))
-        todo = np.empty(_BATCH, np.int64)
-        lit = np.full(1, (1 << rows) - 1)
-        first = offsets[tile]
-        total = offsets[tile + 1] - offsets[tile]
+        place, (first, total), room = open_tile(tile, offsets, tiles_x, width, height)
+        left, top, rows, columns = place
+        state, gates, records, todo, lit = room
         reached = 0
-        for start in range(0, total, _BATCH):
+        for start in range(0, total, BATCH):
             if lit[0] == 0:
                 break
-            reached = min(start + _BATCH, total)
-            _prepare(splats, features, members, first, start, reached - start, left, top, gates, records, todo)
+            reached = min(start + BATCH, total)
+            prepare(splats, features, members, first, start, reached - start, left, top, gates, records, todo)
             _dim_some(state, records, reached - start, todo, lit, start)
         _turn(state, gates, residual, background, left, top, rows, columns)
         for k in range(first + reached, first + total):
             for e in range(4):
                 out[pair_of[k], e] = 0.0
-        for start in range((reached - 1) // _BATCH * _BATCH, -1, -_BATCH):
-            count = min(_BATCH, reached - start)
-            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+        for start in range((reached - 1) // BATCH * BATCH, -1, -BATCH):
+            count = min(BATCH, reached - start)
+            prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
             _remove_some(state, records, count, todo, start, out, pair_of, first)
         tile = take_next(taken)
 

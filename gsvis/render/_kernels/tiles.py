@@ -17,7 +17,7 @@ from gsvis.render._kernels.lanes import CHANNELS, LANES, RECORD, blend, blend_ba
 TILE = LANES
 _LOG2_255 = 7.994353436858858
 BLOCK = 1 << 11  # splats that one thread takes at a time
-_BATCH = 32  # Gaussians prepared at a time
+BATCH = 32  # Gaussians prepared at a time
 _MARGIN = 1e-3  # pixels; a surplus tile costs little, a missing tile shows as an edge
 
 
@@ -122,11 +122,11 @@ def _find_met(order, start, count, spans, room, met, found):
 def _count_chunk(chunk, order, spans, room, met, counts, pairs):
     """Count the splats of one chunk in each tile; see `count_tiles`."""
     chunks = len(counts)
-    found = np.empty((_BATCH, 3), np.int64)
+    found = np.empty((BATCH, 3), np.int64)
     total = 0
     last = len(order) * (chunk + 1) // chunks
-    for start in range(len(order) * chunk // chunks, last, _BATCH):
-        count = min(_BATCH, last - start)
+    for start in range(len(order) * chunk // chunks, last, BATCH):
+        count = min(BATCH, last - start)
         _find_met(order, start, count, spans, room, met, found)
         for j in range(count):
             if found[j, 1] > 0:
@@ -151,12 +151,12 @@ def count_tiles(order, spans, room, met, counts, pairs):
 def _fill_chunk(chunk, order, spans, room, met, places, first_pair, members, pair_of):
     """Write the splats of one chunk into the tiles' lists; see `fill_tiles`."""
     chunks = len(places)
-    found = np.empty((_BATCH, 3), np.int64)
+    found = np.empty((BATCH, 3), np.int64)
     first = len(order) * chunk // chunks
     last = len(order) * (chunk + 1) // chunks
     pair = first_pair[first]
-    for start in range(first, last, _BATCH):
-        count = min(_BATCH, last - start)
+    for start in range(first, last, BATCH):
+        count = min(BATCH, last - start)
         _find_met(order, start, count, spans, room, met, found)
         for j in range(count):
             first_pair[start + j] = pair
@@ -192,15 +192,21 @@ def _allocate(count):
 
 
 @njit(cache=True)
-def _open_tile(left, top, width, height):
-    """Return the initial state of a tile: full light inside the image, none outside, nothing blended.
+def open_tile(tile, offsets, tiles_x, width, height):
+    """Return where a tile lies, where its list is, and what it is drawn with.
 
-    Also returns the gates of its rows, and the numbers of rows and columns inside the image.
+    Returns:
+        The first column, the first row, and the numbers of rows and columns inside the image. Then the place of the
+        list among the members, and its length. Then five arrays: the state (TILE, CHANNELS, TILE), with full light
+        inside the image, none outside, and nothing blended; the gates (TILE,) of its rows; room for the records of
+        prepared splats (BATCH, RECORD) and for the rows that they reach (BATCH,); and the rows with light left (1,).
     """
-    state = _allocate(np.int64(TILE * CHANNELS * TILE)).reshape((TILE, CHANNELS, TILE))
-    gates = _allocate(np.int64(TILE))
+    left = (tile % tiles_x) * TILE
+    top = (tile // tiles_x) * TILE
     rows = min(TILE, height - top)
     columns = min(TILE, width - left)
+    state = _allocate(np.int64(TILE * CHANNELS * TILE)).reshape((TILE, CHANNELS, TILE))
+    gates = _allocate(np.int64(TILE))
     gates[:rows] = np.inf
     gates[rows:] = -1.0
     for r in range(rows):
@@ -208,12 +214,35 @@ def _open_tile(left, top, width, height):
             state[r, 0, k] = 1.0
         for k in range(TILE):
             state[r, 6, k] = np.inf
-    return state, gates, rows, columns
+    records = _allocate(np.int64(BATCH * RECORD)).reshape((BATCH, RECORD))
+    todo = np.empty(BATCH, np.int64)
+    lit = np.full(1, (1 << rows) - 1)
+    first = offsets[tile]
+    total = offsets[tile + 1] - offsets[tile]
+    return (left, top, rows, columns), (first, total), (state, gates, records, todo, lit)
+
+
+@inner
+def _shape(splats, m, left, top, records, j):
+    """Write the shape of splat m, from the first pixel of a tile, into record j."""
+    x = splats[m, 0] - (left + 0.5)
+    y = splats[m, 1] - (top + 0.5)
+    a = splats[m, 2]
+    b = splats[m, 3]
+    c = splats[m, 4]
+    records[j, 0] = splats[m, 5] + a * x * x + b * x * y + c * y * y
+    records[j, 1] = -(2.0 * a * x + b * y)
+    records[j, 2] = -(2.0 * c * y + b * x)
+    records[j, 3] = a
+    records[j, 4] = b
+    records[j, 5] = c
+    records[j, 10] = x
+    records[j, 11] = y
 
 
 @uncounted
-def _prepare(splats, features, members, first, place, count, left, top, gates, records, todo):
-    """Write the records and reached rows of `count` Gaussians of a tile's list; the list starts at `first`."""
+def prepare(splats, features, members, first, place, count, left, top, gates, records, todo):
+    """Write the records and reached rows of `count` splats of a tile's list; the list starts at `first`."""
     for j in range(count):
         m = np.int64(members[first + place + j])
         prefetch(splats, 8 * m)
@@ -221,21 +250,22 @@ def _prepare(splats, features, members, first, place, count, left, top, gates, r
         prefetch(features, 4 * m)
     for j in range(count):
         m = members[first + place + j]
-        x = splats[m, 0] - (left + 0.5)
-        y = splats[m, 1] - (top + 0.5)
-        a = splats[m, 2]
-        b = splats[m, 3]
-        c = splats[m, 4]
-        records[j, 0] = splats[m, 5] + a * x * x + b * x * y + c * y * y
-        records[j, 1] = -(2.0 * a * x + b * y)
-        records[j, 2] = -(2.0 * c * y + b * x)
-        records[j, 3] = a
-        records[j, 4] = b
-        records[j, 5] = c
+        _shape(splats, m, left, top, records, j)
         for e in range(4):
             records[j, 6 + e] = features[m, e]
-        records[j, 10] = x
-        records[j, 11] = y
+    for j in range(count):
+        todo[j] = find_reached_rows(records, j, gates, np.float32(place + j))
+
+
+@uncounted
+def prepare_shapes(splats, members, first, place, count, left, top, gates, records, todo):
+    """Do what `prepare` does for splats without features, whose weights alone matter."""
+    for j in range(count):
+        m = np.int64(members[first + place + j])
+        prefetch(splats, 8 * m)
+        prefetch(splats, 8 * m + 7)
+    for j in range(count):
+        _shape(splats, members[first + place + j], left, top, records, j)
     for j in range(count):
         todo[j] = find_reached_rows(records, j, gates, np.float32(place + j))
 
@@ -261,19 +291,14 @@ def blend_tiles(
     tiles = len(offsets) - 1
     tile = take_next(taken)
     while tile < tiles:
-        left = (tile % tiles_x) * TILE
-        top = (tile // tiles_x) * TILE
-        state, gates, rows, columns = _open_tile(left, top, width, height)
-        records = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD))
-        todo = np.empty(_BATCH, np.int64)
-        lit = np.full(1, (1 << rows) - 1)
-        first = offsets[tile]
-        total = offsets[tile + 1] - offsets[tile]
-        for start in range(0, total, _BATCH):
+        place, (first, total), room = open_tile(tile, offsets, tiles_x, width, height)
+        left, top, rows, columns = place
+        state, gates, records, todo, lit = room
+        for start in range(0, total, BATCH):
             if lit[0] == 0:
                 break
-            count = min(_BATCH, total - start)
-            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+            count = min(BATCH, total - start)
+            prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
             for j in range(count):
                 blend(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
         for r in range(rows):
@@ -316,11 +341,9 @@ def blend_tiles_backward(
     tiles = len(offsets) - 1
     tile = take_next(taken)
     while tile < tiles:
-        left = (tile % tiles_x) * TILE
-        top = (tile // tiles_x) * TILE
-        state, gates, rows, columns = _open_tile(left, top, width, height)
-        records = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD))
-        todo = np.empty(_BATCH, np.int64)
+        place, (first, total), room = open_tile(tile, offsets, tiles_x, width, height)
+        left, top, rows, columns = place
+        state, gates, records, todo, _ = room
         gates[:rows] = -1.0
         for r in range(rows):
             for k in range(columns):
@@ -339,15 +362,13 @@ def blend_tiles_backward(
                 state[r, 5, k] = t * by_t
                 state[r, 6, k] = stop_at[y, x]
                 gates[r] = max(gates[r], stop_at[y, x])
-        first = offsets[tile]
-        total = offsets[tile + 1] - offsets[tile]
         reached = int(min(np.float64(gates.max()), np.float64(total)))  # no pixel goes beyond
         for k in range(first + reached, first + total):
             for e in range(10):
                 out[pair_of[k], e] = 0.0
-        for stop in range(reached, 0, -_BATCH):
-            start = max(stop - _BATCH, 0)
-            _prepare(splats, features, members, first, start, stop - start, left, top, gates, records, todo)
+        for stop in range(reached, 0, -BATCH):
+            start = max(stop - BATCH, 0)
+            prepare(splats, features, members, first, start, stop - start, left, top, gates, records, todo)
             for j in range(stop - start - 1, -1, -1):
                 pair = np.int64(pair_of[first + start + j])
                 blend_backward(state, records, j, todo[j], np.float32(start + j), out, pair)
@@ -384,29 +405,24 @@ def join_weights(begin, end, order, ids, first_pair, pairs, largest, summed):
         summed[i] = total
 
 
-@in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
+@in_threads(lambda splats, offsets, *_: len(offsets) - 1)
 @kernel(error_model="numpy")
-def weigh_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, width, height, out):
+def weigh_tiles(taken, splats, offsets, members, pair_of, tiles_x, width, height, out):
     """Write the largest and summed weight of every (tile, splat) pair into out (P, 2) float32."""
     tiles = len(offsets) - 1
     tile = take_next(taken)
     while tile < tiles:
-        left = (tile % tiles_x) * TILE
-        top = (tile // tiles_x) * TILE
-        state, gates, rows, _ = _open_tile(left, top, width, height)
-        records = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD))
-        todo = np.empty(_BATCH, np.int64)
-        lit = np.full(1, (1 << rows) - 1)
-        first = offsets[tile]
-        total = offsets[tile + 1] - offsets[tile]
+        place, (first, total), room = open_tile(tile, offsets, tiles_x, width, height)
+        left, top, _, _ = place
+        state, gates, records, todo, lit = room
         for k in range(first, first + total):
             out[pair_of[k], 0] = 0.0
             out[pair_of[k], 1] = 0.0
-        for start in range(0, total, _BATCH):
+        for start in range(0, total, BATCH):
             if lit[0] == 0:
                 break
-            count = min(_BATCH, total - start)
-            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+            count = min(BATCH, total - start)
+            prepare_shapes(splats, members, first, start, count, left, top, gates, records, todo)
             for j in range(count):
                 largest, total_weight = weigh(state, records, j, todo[j] & lit[0], lit)
                 out[pair_of[first + start + j], 0] = largest
