@@ -157,7 +157,7 @@ PAGES = {
     ),
     "paper": Page(
         "What each departure from the paper is worth",
-        ("paper_pieces", "paper_pieces_nika", "paper_pieces_bonsai", "paper_tables_bonsai"),
+        ("paper_pieces", "paper_pieces_nika", "paper_pieces_bonsai", "paper_pieces_flowers", "paper_tables_bonsai"),
     ),
     "arena": Page("Systems that are trained on the same photographs", ("arena",)),
     "streaming": Page(
