@@ -358,6 +358,8 @@ class Levels:
             " shrunk to it.",
         ),
     ] = MeasuredLevels()
+    price_reuse: Flag = False
+    """Also train levels of these sizes that reuse nothing, and state what reuse costs in dB; takes as long again."""
     as_in_paper: AsInPaper = False
     seed: Seed = 0
     max_memory: Memory = None

@@ -128,6 +128,8 @@ def _check_arguments(command: Levels) -> LevelsConfig:
         name, got = ("--width", size[0]) if size[0] < _LEAST_SIDE else ("--height", size[1])
         raise ValueError(f"{name}: expected at least {_LEAST_SIDE} pixels, got {got}")
     config = levels_config(command.training, command.seed)
+    if command.price_reuse and _held_out(command) == 0:
+        raise ValueError("--price-reuse: expected held-out views to measure it in, got --held-out 0; leave out either")
     check_folder(command.out)
     check_folder(Path(os.path.abspath(command.out)).parent)  # unfinished work is kept there
     _check_target(command, config.level_names)
@@ -321,7 +323,7 @@ def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, d
             said = stage, done
             stop_if_asked()
 
-        made = make_levels(g, plan.drawn, plan.config, work=work, progress=report)
+        made = make_levels(g, plan.drawn, plan.config, work=work, price_reuse=command.price_reuse, progress=report)
     plan.remarks.extend([f" {made.warning}"] if made.warning else [])
     about = {"made_by": f"gsvis {version()}", "scene": plan.source.name, "lod": plan.source.lod}
     record = about | made.record(g, plan.drawn, plan.config)
@@ -404,6 +406,13 @@ def _explain(record: Mapping[str, Any]) -> list[str]:
             f" PSNR is the mean over the held-out views against renders of the scene{photos}; brightness is the mean of"
             " all pixels, where 1 is white."
         )
+        for row in record["levels"]:
+            if "reuse_costs" in row:
+                costs = row["reuse_costs"]
+                lines.append(
+                    f" {row['name']}: reuse costs {costs['mean']:.2f} dB, {costs['worst']:.2f} in the worst view,"
+                    " against a level of this size that reuses nothing."
+                )
         checked = [row for row in record["levels"] if "judged" in row]
         lines += [f" {row['name']}, by other eyes: {row['judged']['line']}." for row in checked]
     else:

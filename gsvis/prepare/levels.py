@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
 __all__ = ["MadeLevels", "count_eyes", "find_levels_work", "judge", "make_levels"]
 
 
+_WITHOUT_REUSE = "without-reuse"  # folder of the work on levels that reuse nothing
 _USUAL = 12  # held-out views from which there are as many to judge as elsewhere
 # pixels and degrees of these views
 _WIDTH = 160
@@ -42,11 +43,13 @@ class MadeLevels:
         trained: The levels.
         quality: Quality in held-out views; None without held-out views.
         judged: For each level below the highest, the quality at independent eyes; empty without held-out views.
+        without_reuse: Quality of levels of the same sizes that reuse nothing; None if nobody asked.
     """
 
     trained: TrainedLevels
     quality: LevelQuality | None
     judged: tuple[Judged, ...] = ()
+    without_reuse: LevelQuality | None = None
 
     @property
     def warning(self) -> str | None:
@@ -78,6 +81,8 @@ class MadeLevels:
                     None if self.quality.photo_psnr is None else _spread(self.quality.photo_psnr[k])
                 )
                 row["brightness"] = float(self.quality.brightness[k])
+                if self.without_reuse is not None and k < len(levels.reuse):
+                    row["reuse_costs"] = _price(self.quality.scene_psnr[k], self.without_reuse.scene_psnr[k])
             if k < len(self.judged):
                 row["judged"] = self.judged[k].as_dict()
             if name in self.trained.histories:
@@ -108,6 +113,7 @@ def make_levels(
     *,
     work: str | os.PathLike[str],
     with_curve: bool = True,
+    price_reuse: bool = False,
     progress: Progress = silent,
 ) -> MadeLevels:
     """Train levels, and measure them in held-out views.
@@ -118,6 +124,7 @@ def make_levels(
         config: Sizes and training of the levels.
         work: Folder for unfinished work, such as `find_levels_work`; the caller deletes it.
         with_curve: Also measure during training.
+        price_reuse: Also train and measure levels that reuse nothing, which takes as long again; with held-out views.
         progress: Called with the stages of `train_levels`, `measure_levels` and `judge_levels`.
 
     Raises:
@@ -140,7 +147,19 @@ def make_levels(
     if held_out is not None:
         quality = measure_levels(trained.levels, held_out, photographs=views.photographs, progress=progress)
         judged = judge(trained.levels, views, config.seed, progress)
-    return MadeLevels(trained, quality, judged)
+    without_reuse = None
+    if price_reuse and held_out is not None:
+        free = train_levels(
+            g,
+            views.views,
+            replace(config, reuse=(0.0,) * len(config.reuse)),
+            choose_by=views.choose_by,
+            space=views.space,
+            work=Path(work) / _WITHOUT_REUSE,
+            progress=progress,
+        )
+        without_reuse = measure_levels(free.levels, held_out, photographs=views.photographs, progress=progress)
+    return MadeLevels(trained, quality, judged, without_reuse)
 
 
 def count_eyes(held_out: int) -> int:
@@ -174,6 +193,11 @@ def find_levels_work(out: str | os.PathLike[str], g: Gaussians, views: LevelView
 def _spread(values: NDArray[np.float64]) -> dict[str, float]:
     """Return the mean and the least of the values (C,) of views."""
     return {"mean": float(values.mean()), "worst": float(values.min())}
+
+
+def _price(reusing: NDArray[np.float64], free: NDArray[np.float64]) -> dict[str, float]:
+    """Return what reuse costs in dB, by the PSNR (C,) of a level with and without it: of the mean and of the worst."""
+    return {"mean": float(free.mean() - reusing.mean()), "worst": float(free.min() - reusing.min())}
 
 
 def _step(record: Record) -> dict[str, Any]:

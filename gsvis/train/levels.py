@@ -66,7 +66,7 @@ class LevelsConfig:
 
     Attributes:
         shares: Largest number of Gaussians of each level, as a share of the scene's; ascending, in (0, 1).
-        reuse: Least share of each level that belongs to the next level too.
+        reuse: Least share of each level that belongs to the next level too, in [0, 1].
         names: Names of these levels, and of the scene itself as the last.
         iterations: Training steps for each level.
         merged: Share of a level's own Gaussians that start as merges of the Gaussians it lacks; the rest are clones
@@ -107,10 +107,12 @@ class LevelsConfig:
     def __post_init__(self) -> None:
         for name in ("shares", "reuse", "names"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        for name in ("shares", "reuse"):
-            for value in getattr(self, name):
-                if not 0.0 < value <= 1.0:
-                    raise ArgumentError(name, f"expected shares in (0, 1], got {value!r}")
+        for value in self.shares:
+            if not 0.0 < value <= 1.0:
+                raise ArgumentError("shares", f"expected shares in (0, 1], got {value!r}")
+        for value in self.reuse:
+            if not 0.0 <= value <= 1.0:
+                raise ArgumentError("reuse", f"expected shares in [0, 1], got {value!r}")
         if not self.shares or any(low >= high for low, high in zip(self.shares, (*self.shares[1:], 1.0), strict=True)):
             raise ArgumentError(
                 "shares",
@@ -296,7 +298,8 @@ def train_levels(
         training = config.training(total, scene.sh_degree)
         if begun == total:  # no room for clones
             training = replace(training, densify=None)
-        if frozen and config.merged and choose_by is not None:  # it resembles its images already
+        is_preview = k == 0 and config.preview > 0.0
+        if config.merged and choose_by is not None and not is_preview:  # it resembles its images already
             training = _slowed(training, Gaussians.concatenate([scene[stays], begin]), views)
         trainer = Trainer(views, begin, training, frozen=scene[stays], held_out=held_out, space=space)
         kept = None if work is None else Path(work) / f"{name}.checkpoint"
@@ -342,6 +345,8 @@ def _subsets(
     """Return nested masks by their size, from a file of the same run if it exists."""
     counts = frozen_sizes(sizes)
     none = {0: np.zeros(len(scene), bool)}
+    if not counts:
+        return none
     cameras = _halve(views.cameras) if choose_by is None else choose_by
 
     def choose(kept: KeptWork | None = None) -> list[Mask]:

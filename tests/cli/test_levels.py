@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 
 from gsvis.cli import main
+from gsvis.cli.levels import _explain
 from gsvis.io import load_scene, save_scene
 from gsvis.io.levels import levels_info, load_levels
 from gsvis.render.rasterizer import rasterize
@@ -292,6 +293,19 @@ def test_nothing_held_out_is_nothing_measured(tmp_path: Path, capsys: Capture) -
     assert "nothing was measured" in text
     assert "PSNR" not in text
     assert "a higher --reuse" in text
+
+
+def test_it_states_what_reuse_costs(tmp_path: Path, capsys: Capture) -> None:
+    found = document(capsys, BUILTIN, "-o", tmp_path / "out", *QUICK, "--price-reuse")
+    assert names(tmp_path) == ["out"]
+    assert "reuse_costs" not in found["levels"][-1]
+    for row in found["levels"][:-1]:
+        assert set(row["reuse_costs"]) == {"mean", "worst"}
+        assert np.isfinite(list(row["reuse_costs"].values())).all()
+    lines = " ".join(_explain(found))
+    assert f"low: reuse costs {found['levels'][0]['reuse_costs']['mean']:.2f} dB" in lines
+    message = refused(capsys, BUILTIN, "-o", tmp_path / "none", *TINY, "--held-out", "0", "--price-reuse")
+    assert "--price-reuse: expected held-out views" in message
 
 
 def test_the_help_states_the_defaults_of_the_library(capsys: Capture) -> None:

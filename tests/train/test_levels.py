@@ -211,6 +211,17 @@ def test_levels_that_keep_everything_have_nothing_to_train(scene: Gaussians, vie
     assert found.histories == {"low": [], "medium": []}
 
 
+def test_levels_that_reuse_nothing_need_no_choice(scene: Gaussians, views: PosedImages) -> None:
+    stages: set[str] = set()
+    free = replace(BRIEF, reuse=(0.0, 0.0), iterations=2)
+    found = train_levels(scene, views, free, progress=lambda stage, done, of: stages.add(stage))
+    assert "prune" not in stages
+    assert found.levels.counts == (36, 75, COUNT)
+    assert found.levels.reuse == (0.0, 0.0)
+    with pytest.raises(ValueError, match=r"reuse: expected shares in \[0, 1\], got -0.1"):
+        replace(BRIEF, reuse=(-0.1, 0.5))
+
+
 @pytest.mark.parametrize("shares", [(0.1,), (0.1, 0.3, 0.31, 0.9)])
 def test_there_may_be_any_number_of_levels(scene: Gaussians, views: PosedImages, shares: tuple[float, ...]) -> None:
     names = tuple("abcde"[: len(shares) + 1])
