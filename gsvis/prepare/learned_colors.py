@@ -270,11 +270,12 @@ class ColorMeasure:
         views = self._views
         cameras = views if isinstance(views, Cameras) else views.cameras
         found = np.empty(len(views))
+        evaluator = None if colors is None else Evaluator(colors)
         for c in range(len(views)):
             seen = FixedView(self._drawn, cameras[c])
             ids = self._ids[seen.ids]
             own = seen_sh_colors(self._scene, ids, seen.eye)
-            shades = own if colors is None else Evaluator(colors[ids]).colors(self._scene.means[ids], seen.eye)
+            shades = own if evaluator is None else evaluator.colors(self._scene.means, seen.eye, ids=ids)
             image = seen.image(shades)
             wanted = seen.image(own) if isinstance(views, Cameras) else views.image(c)
             found[c] = min(float(psnr(np.clip(image, 0.0, 1.0), np.clip(wanted, 0.0, 1.0))), MOST_PSNR)

@@ -78,18 +78,17 @@ class _Rasterize(torch.autograd.Function):
         _kernels_tiles.sum_pairs(projected.order, projected.first_pair, pairs, sums)
         v_means, v_quats, v_scales = (_zeros_of(a) for a in (scene.means, scene.quats, scene.scales))
         v_opacities, v_sh0, v_shN = (_zeros_of(a) for a in (scene.opacities, scene.sh0, scene.shN))
-        v_means2d = np.empty((len(projected.ids), 2))
         stand = int(np.searchsorted(projected.ids, frozen))  # ids ascend
         ids = projected.ids[stand:]
         moved = sums[stand:]
-        v_means2d[:stand] = _by_centers(projected.splats[:stand], sums[:stand])
+        v_means2d = np.empty((len(moved), 2))
         factor = length_factor(scene.means)
         means, scales, viewmat = in_usual_units(scene, view, factor)
         if factor != 1.0:
             moved = moved * np.where(np.arange(10) == 3, 1.0 / factor, 1.0)  # the gradient by depth, of scene units
         _kernels_project.project_backward(
             *_check.read_only(means, scene.quats, scales, scene.opacities), viewmat, view.intrinsics,
-            (view.width, view.height), antialiased, ids, moved, v_means2d[stand:], v_opacities,
+            (view.width, view.height), antialiased, ids, moved, v_means2d, v_opacities,
             (v_means, v_quats, v_scales),
         )  # fmt: skip
         if factor != 1.0:
@@ -106,7 +105,8 @@ class _Rasterize(torch.autograd.Function):
         v_probe = None
         if ctx.needs_input_grad[2]:
             by_center = np.zeros((len(scene.means), 2), np.float32)
-            by_center[projected.ids] = v_means2d
+            by_center[ids] = v_means2d
+            _kernels_project.write_by_centers(projected.ids[:stand], projected.splats, sums, by_center)
             v_probe = torch.from_numpy(by_center)
         results = [v_means, v_quats, v_scales, v_opacities, v_sh0, v_shN, v_colors]
         gradients = [
@@ -119,14 +119,6 @@ class _Rasterize(torch.autograd.Function):
 def _zeros_of(values: F32) -> F32:
     """Return zeros of the same shape; memory that nobody writes, such as that of frozen rows, is never touched."""
     return np.zeros(values.shape, np.float32)
-
-
-def _by_centers(splats: F64, sums: F64) -> F64:
-    """Return (M, 2) gradients by projected centers from the sums of the tiles, the same as `project_backward`."""
-    a = splats[:, 2] * (2.0 / _kernels_project.LOG2E)
-    b = splats[:, 3] / _kernels_project.LOG2E
-    c = splats[:, 4] * (2.0 / _kernels_project.LOG2E)
-    return np.stack([a * sums[:, 5] + b * sums[:, 6], b * sums[:, 5] + c * sums[:, 6]], axis=1)
 
 
 def _array(tensor: Tensor) -> F32:

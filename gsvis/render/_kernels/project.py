@@ -202,6 +202,22 @@ def close_gaps(counts, ids, splats, depths):
     return at
 
 
+@in_parts(lambda ids, *_: len(ids))
+@kernel(error_model="numpy")
+def write_by_centers(begin, end, ids, splats, sums, out):
+    """Write the gradients of the first splats by their projected centers, those of `project_backward`, into out (N, 2).
+
+    `ids` are their Gaussians, `sums` (M, 10) what `project_backward` gets.
+    """
+    for m in range(begin, end):
+        a = splats[m, 2] * (2.0 / LOG2E)
+        b = splats[m, 3] / LOG2E
+        c = splats[m, 4] * (2.0 / LOG2E)
+        i = ids[m]
+        out[i, 0] = a * sums[m, 5] + b * sums[m, 6]
+        out[i, 1] = b * sums[m, 5] + c * sums[m, 6]
+
+
 @in_parts(lambda *arguments: (len(arguments[8]) + 255) // 256)
 @kernel(fastmath=FUSED, error_model="numpy")
 def project_backward(
