@@ -298,8 +298,7 @@ def train_levels(
         training = config.training(total, scene.sh_degree)
         if begun == total:  # no room for clones
             training = replace(training, densify=None)
-        is_preview = k == 0 and config.preview > 0.0
-        if config.merged and choose_by is not None and not is_preview:  # it resembles its images already
+        if config.merged and choose_by is not None and (k or not config.preview):  # it resembles its images already
             training = _slowed(training, Gaussians.concatenate([scene[stays], begin]), views)
         trainer = Trainer(views, begin, training, frozen=scene[stays], held_out=held_out, space=space)
         kept = None if work is None else Path(work) / f"{name}.checkpoint"

@@ -373,7 +373,7 @@ def test_what_cannot_be_done_is_refused_before_any_work(scene: Gaussians, views:
         ({"shares": (0.5, 1.0)}, "shares: expected each below the next and the last below 1"),
         ({"shares": ()}, "shares: expected"),
         ({"reuse": (0.9,)}, "reuse: expected one for each of 2 shares, got 1"),
-        ({"reuse": (0.0, 0.9)}, "reuse: expected shares in"),
+        ({"reuse": (-0.1, 0.9)}, "reuse: expected shares in"),
         ({"reuse": (0.9, 1.1)}, "reuse: expected shares in"),
         ({"reuse": (1.0, 0.3)}, "reuse: expected each level to keep more of the scene"),
         ({"names": ("low", "high")}, "names: expected 3 different ones"),
