@@ -38,7 +38,7 @@ def seen_terms(colors: SrbfColors, sets: ArrayLike, epsilon: float = DEFAULT_EPS
     toward = -unit_vectors(colors.centers)  # to the eye
     of = colors.gaussian_ids
     own = face_of(toward)
-    found = (packed[of, own >> 3] >> (own & 7) & 1).astype(bool) & (least <= 1.0)
+    found: Mask = (packed[of, own >> 3] >> (own & 7) & 1).astype(bool) & (least <= 1.0)
     points = _points_of_faces().reshape(-1, 3).T
     left = np.flatnonzero(~found & (least <= 1.0))
     for start in range(0, len(left), _PART):
