@@ -28,7 +28,6 @@ from gsvis.prepare.color_quality import ColorQualityConfig, measure_colors
 from gsvis.prepare.colors import ColorConfig, ColorPreparation, find_kept, prepare_colors
 from gsvis.prepare.fitted_colors import PRECISION_NAMES, FittedColors, round_colors
 from gsvis.prepare.learned_colors import Learned, Lesson, learn_lesson
-from gsvis.prepare.seen_terms import drop_unseen_terms
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
@@ -114,8 +113,6 @@ def color_scene(
         learned: Learned | None = None
         if lesson is not None:
             found, learned = _learn(union_of(scene), found, lesson, outputs.precision, shown, progress)
-        if config.directions == "weighed":
-            found = replace(found, fit=replace(found.fit, colors=drop_unseen_terms(found.fit.colors, found.sets)))
         progress("records", 0, 1)
         colors = round_colors(found.fit.colors, outputs.precision)
         progress("records", 1, 1)

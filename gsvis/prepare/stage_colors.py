@@ -18,7 +18,6 @@ from gsvis.prepare.learned_colors import (
     renders_teach,
     steps_of_learning,
 )
-from gsvis.prepare.seen_terms import drop_unseen_terms
 from gsvis.prepare.stages import Stages, hash_levels
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.levels import Levels
@@ -77,8 +76,6 @@ def run_colors(stages: Stages, levels: Levels, store: VisibilityStore) -> StageC
             if count_color_steps(stages):
                 colors, learned = _learn(stages, levels, colors)
                 provenance["learned"] = {**learned.as_dict(), "remark": learned.remark}
-            if stages.config.colors.directions == "weighed":
-                colors = drop_unseen_terms(colors, found.sets)
             save_srbf(stages.work.at(name), levels.union, colors, provenance=provenance)
             stages.work.seal_file(name)
         path = stages.work.at(name)

@@ -41,7 +41,7 @@ VERSIONS = {
     "levels": 9,
     "sets": 7,
     "joined": 4,
-    "colors": 9,
+    "colors": 10,
     "epsilon": 1,
     "rounding": 2,
     "cost": 2,
