@@ -54,6 +54,7 @@ _PROBE_SIZE = 128  # pixels along a side of the faces of a probe
 _PROBE_FLOOR = 0.05  # least weight of a missing Gaussian that a probe counts
 _PROBE_LOSS = 0.1  # sum of these weights from which the eye looks finely
 _FINE_FLOOR = 4.0  # least weight, over tau, of what a fine look after a probe adds: a set should stay small
+_MOST_FLOOR = 0.9  # of that weight, where tau is large
 _CLEAN = 4  # probes in a row that find nothing, after which there are no more
 _CHECKED = 8  # rays of a cell that a second tracer may trace again
 
@@ -256,10 +257,15 @@ class Finder:
                 continue
             size = self._pixels(level, self._finer(level, eye))
             squares = self._prepared[top].look.squares(eye, missing, size)
-            options = LookOptions(size=size, floor=_FINE_FLOOR * self.config.tau, hull=squares is None, squares=squares)
+            options = LookOptions(size=size, floor=self._fine_floor, hull=squares is None, squares=squares)
             ids, weights = prepared.look(eye, options)
             view.add(prepared.ids[ids], self._classes.of(weights), eye[None])
         return True
+
+    @property
+    def _fine_floor(self) -> float:
+        """Least weight of what a fine look after a probe adds."""
+        return min(_FINE_FLOOR * self.config.tau, _MOST_FLOOR)
 
     def _glance(self, eye: F64, view: _Growing) -> I64 | None:
         """Add missing Gaussians that an eye sees coarsely in the highest level.
@@ -268,7 +274,7 @@ class Finder:
             Numbers (K,) in the level of all missing Gaussians, the faint ones too; None if they have little weight.
         """
         prepared = self._prepared[len(self.levels) - 1]
-        faint = _FINE_FLOOR * self.config.tau
+        faint = self._fine_floor
         known = view.best[prepared.ids] >= 0
         options = LookOptions(
             size=min(_PROBE_SIZE, self.config.size),

@@ -282,6 +282,13 @@ def test_a_set_is_found_without_any_viewpoint() -> None:
     assert view.figures.viewpoints == view.figures.inner > 0
 
 
+@pytest.mark.parametrize("tau", [0.1, 0.3, 0.5])
+def test_a_set_of_only_what_is_seen_well_can_be_found(tau: float) -> None:
+    view = another(tau=tau, size=64, rays=0, probes=12).find_cell(rooms()[1].voxels(0), [])
+    assert view.figures.inner > 0  # a probe found something
+    assert len(view.ids) > 0
+
+
 def test_without_rays_a_set_is_what_looks_and_probes_find_and_has_no_certificate() -> None:
     """The paper's way: z-buffer and hidden points, and nothing after them."""
     voxels, sightings = rooms()[1].voxels(3), sightings_of(3)
