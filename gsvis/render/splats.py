@@ -136,7 +136,9 @@ def project_splats(scene: Any, view: View, *, antialiased: bool) -> tuple[I32, F
         counts,
     )
     m = _kernels_project.close_gaps(counts, ids, splats, depths)
-    ids, splats, depths = ids[:m], splats[:m], depths[:m]
+    ids = ids[:m]
+    splats = splats[:m]
+    depths = depths[:m]
     if factor != 1.0:
         depths /= np.float32(factor)
     return ids, splats, depths
