@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis._kernels.threads import one_thread
 from gsvis.color._assemble import Terms, assemble
 from gsvis.color._prices import MOST_FITS, Curves, Prices, find_prices
 from gsvis.color._pursuit import Pursuit, SplitFit
 from gsvis.color.srbf import MAX_DECAY, SrbfColors
 from gsvis.color.variants import DEFAULT_VARIANT, VARIANTS, variant
+from gsvis.jobs.in_order import in_order
 from gsvis.progress import Progress, silent
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import NUM_FACES, face_directions, face_shares
@@ -201,12 +203,18 @@ def fit_srbf(
     terms: list[Terms] = []
     unseen = 0
     progress("fit", 0, n)
-    for start in range(0, n, _CHUNK):
-        part = slice(start, min(start + _CHUNK, n))
-        weights = weigh(np.arange(part.start, part.stop))
-        unseen += int((weights.max(axis=1) <= 0.0).sum())
-        fitted = _fit(pursuit, g[part], weights, counts[part], prices.term)
-        terms.append(assemble(config, fitted, pursuit.directions))
+
+    def fit_part(part: slice) -> tuple[Terms, int]:
+        """Return the terms of some Gaussians, and how many of them are not seen."""
+        with one_thread():
+            weights = weigh(np.arange(part.start, part.stop))
+            fitted = _fit(pursuit, g[part], weights, counts[part], prices.term)
+            return assemble(config, fitted, pursuit.directions), int((weights.max(axis=1) <= 0.0).sum())
+
+    parts = [slice(start, min(start + _CHUNK, n)) for start in range(0, n, _CHUNK)]
+    for part, (found, hidden) in zip(parts, in_order(fit_part, parts), strict=True):
+        terms.append(found)
+        unseen += hidden
         progress("fit", part.stop, n)
     return _join(config, terms, prices, unseen)
 

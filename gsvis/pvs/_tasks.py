@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 
 from gsvis.errors import GsvisError
 from gsvis.files.output import output_errors
+from gsvis.files.shelf import Shelved
 from gsvis.jobs.crew import Crew
 from gsvis.jobs.freed_memory import release_freed_memory
 from gsvis.jobs.processes import limit_threads, one_at_a_time, ready
 from gsvis.pvs._journal import pack_sighting, pack_view, unpack_sighting
 from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.prepared import PreparedLevel, PreparedLevels
 from gsvis.pvs.viewpoints import FreeVoxels
 from gsvis.raycast import Tracer
 from gsvis.scene.gaussians import Gaussians
@@ -37,7 +39,6 @@ __all__ = [
     "ViewpointTask",
     "forget_scene",
     "perform",
-    "ready_tracer",
     "run_tasks",
 ]
 
@@ -54,13 +55,15 @@ class SceneArrays:
         key: Names the scene and the configuration.
         source: The arrays of the union and the levels of each Gaussian; or a folder with one file for each array.
         config: How visible sets are found.
-        shelf: Folder of this process for what a `Finder` makes of levels; None keeps that in memory.
+        shelf: Folder of this process for what is prepared of levels; None keeps that in memory.
+        made: The levels, prepared already.
     """
 
     key: str
     source: dict[str, Any] | Path
     config: PvsConfig
     shelf: Path | None = None
+    made: tuple[Shelved[PreparedLevel], ...] = ()
 
     @classmethod
     def from_levels(cls, key: str, levels: Levels, config: PvsConfig) -> SceneArrays:
@@ -70,7 +73,7 @@ class SceneArrays:
 
     @contextmanager
     def stored(self, folder: Path) -> Iterator[SceneArrays]:
-        """Yield the scene with its arrays in files of `folder`.
+        """Yield the scene with its arrays, and its prepared levels, in files of `folder`.
 
         All processes of a machine map and share the files. The folder is removed at the end of the block.
         """
@@ -80,7 +83,8 @@ class SceneArrays:
                 folder.mkdir(parents=True, exist_ok=True)
                 for name, array in self.source.items():
                     (folder / f"{name}.bin").write_bytes(np.ascontiguousarray(array).data)
-            yield SceneArrays(self.key, folder, self.config)
+                made = PreparedLevels(_levels_of(self.source), self.config).shelve(folder)
+            yield SceneArrays(self.key, folder, self.config, made=made)
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
@@ -89,15 +93,17 @@ class SceneArrays:
         finder = ready.find(self.key)
         if finder is None:
             ready.clear()
-            source = self.source
-            if isinstance(source, Path):
-                source = _map(source)
-            first, last = (source[name] for name in _MEMBERSHIP)
-            union = Gaussians(*(source[name] for name in _SHAPES))
-            levels = Levels(union, first, last, [str(k) for k in range(int(last.max()) + 1)])
-            finder = Finder(levels, self.config, self.shelf)
+            levels = _levels_of(_map(self.source) if isinstance(self.source, Path) else self.source)
+            finder = Finder(levels, self.config, PreparedLevels(levels, self.config, self.shelf, self.made))
             ready.keep(self.key, finder)
         return finder
+
+    def tracer(self) -> Tracer | None:
+        """Return the tracer of the highest level; None unless it is prepared."""
+        if self.made:
+            return self.made[-1].open().certifier.tracer
+        finder = ready.find(self.key)
+        return None if finder is None else finder.tracer
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +139,13 @@ class CellTask:
 Task = ViewpointTask | CellTask
 
 
+def _levels_of(source: dict[str, Any]) -> Levels:
+    """Return levels from their arrays, without harmonics."""
+    first, last = (source[name] for name in _MEMBERSHIP)
+    union = Gaussians(*(source[name] for name in _SHAPES))
+    return Levels(union, first, last, [str(k) for k in range(int(last.max()) + 1)])
+
+
 def _map(folder: Path) -> dict[str, NDArray[Any]]:
     """Return the memory-mapped arrays of a scene in a folder, by name."""
     kinds: dict[str, Any] = dict.fromkeys(_SHAPES, np.float32) | dict.fromkeys(_MEMBERSHIP, np.uint8)
@@ -151,12 +164,6 @@ def forget_scene() -> None:
     """Release the memory of the last scene."""
     ready.clear()
     release_freed_memory()
-
-
-def ready_tracer(key: str) -> Tracer | None:
-    """Return the tracer of the highest level of the last scene, if that has this key; None if it has not."""
-    finder = ready.find(key)
-    return None if finder is None else finder.tracer
 
 
 def run_tasks(

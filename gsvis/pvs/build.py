@@ -36,7 +36,6 @@ from gsvis.pvs._tasks import (
     ViewpointTask,
     forget_scene,
     perform,
-    ready_tracer,
     run_tasks,
 )
 from gsvis.pvs.cell_view import CellView
@@ -180,15 +179,16 @@ def build_pvs(
             needed = {int(k) for cell in cells for k in work.shared.of_cell(cell)}
             looks = sorted(needed - set(seen))
             total = len(work.shared)
-            with _scene_here(work, one_level) as here:
-                with _begin_work(work, here, workers, count, max(len(looks), len(cells))) as run:
+            count = min(count, max(len(looks), len(cells), 1))
+            with _prepare_scene(work, workers, count, one_level) as scene:
+                with _begin_work(scene, workers, count) as run:
                     sightings = run(looks, work.viewpoint_task)
                     _keep(work, sightings, name_viewpoint, ("viewpoints", total - len(looks), total), progress)
                     views = run(cells, work.cell_task)
                     _keep(work, views, name_cell, ("cells", len(found), len(grid)), progress)
                 if not one_level:
                     forget_scene()  # lower levels and the second tracer would be in memory together
-                twice = _check_twice(work, progress)
+                twice = _check_twice(work, scene, progress)
             _write(work, twice, progress)
             store = VisibilityStore.open(work.target)  # an unreadable store must lose no work
             work.kept.remove()
@@ -267,28 +267,31 @@ def _keep(
 
 
 @contextmanager
-def _scene_here(work: Work, one_level: bool) -> Iterator[SceneArrays]:
-    """Yield the scene for tasks in this process; its prepared state is released at the end of the block."""
+def _prepare_scene(work: Work, workers: Workers, count: int, one_level: bool) -> Iterator[SceneArrays]:
+    """Yield the scene for `count` processes or other workers; what is prepared is released at the end of the block."""
     shelf = work.kept.folder / "levels"
+    here = workers.executor is None
     try:
-        yield replace(work.scene, shelf=shelf) if one_level else work.scene
+        if here and count > 1:
+            with work.scene.stored(work.kept.folder / "scene") as stored:
+                yield stored
+        else:
+            yield replace(work.scene, shelf=shelf) if here and one_level else work.scene
     finally:
         forget_scene()
         shutil.rmtree(shelf, ignore_errors=True)
 
 
 @contextmanager
-def _begin_work(work: Work, here: SceneArrays, workers: Workers, count: int, most: int) -> Iterator[Run]:
-    """Yield a function that runs tasks on the workers; the same processes run all stages, of at most `most` tasks."""
-    alone = crew = Crew(Workers(), perform, lambda: (here,))
+def _begin_work(scene: SceneArrays, workers: Workers, count: int) -> Iterator[Run]:
+    """Yield a function that runs tasks on the workers; the same processes run all stages. One task needs no process."""
+    alone = crew = Crew(Workers(), perform, lambda: (scene,))
     with ExitStack() as stack:
         if workers.executor is not None:
             scatter = workers.scatter or (lambda scene: scene)
-            alone = crew = Crew(workers, perform, lambda: (scatter(work.scene),))
-        elif min(count, most) > 1:
-            stored = stack.enter_context(work.scene.stored(work.kept.folder / "scene"))
-            processes = Workers(min(count, most))
-            crew = stack.enter_context(Crew(processes, perform, lambda: (stored,), ahead=2))
+            alone = crew = Crew(workers, perform, lambda: (scatter(scene),))
+        elif count > 1:
+            crew = stack.enter_context(Crew(Workers(count), perform, lambda: (scene,), ahead=2))
         yield lambda numbers, task_of: run_tasks(crew if len(numbers) > 1 else alone, numbers, task_of)
 
 
@@ -323,7 +326,7 @@ def _read(work: Work, cell: int) -> CellView:
     return view
 
 
-def _check_twice(work: Work, progress: Progress) -> dict[str, Any] | None:
+def _check_twice(work: Work, scene: SceneArrays, progress: Progress) -> dict[str, Any] | None:
     """Trace the kept rays of all cells with a second tracer; None if there are no rays or no such tracer."""
     from gsvis.raycast import EllipsoidProxies, Tracer, cross_check
 
@@ -331,7 +334,7 @@ def _check_twice(work: Work, progress: Progress) -> dict[str, Any] | None:
     if not len(rays):
         return None
     progress("check", 0, 1)
-    tracer = ready_tracer(work.scene.key)
+    tracer = scene.tracer()
     if tracer is None:
         tracer = Tracer.named(work.config.tracer, EllipsoidProxies.from_scene(work.levels.level(len(work.levels) - 1)))
     found = cross_check(tracer, rays[:, :3], rays[:, 3:])

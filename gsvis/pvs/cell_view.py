@@ -11,7 +11,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,18 +99,18 @@ class CellView:
 
 
 class Finder:
-    """Finds the sets of cells of levels. Looks and tracers are made on first use.
+    """Finds the sets of cells of levels.
 
     Args:
         levels: The levels, N Gaussians in all.
         config: How visible sets are found.
-        folder: Folder for looks and tracers, so that memory holds those of one level; None keeps all in memory.
+        prepared: Looks and tracers of the levels; None makes them in memory.
     """
 
-    def __init__(self, levels: Levels, config: PvsConfig, folder: Path | None = None) -> None:
+    def __init__(self, levels: Levels, config: PvsConfig, prepared: PreparedLevels | None = None) -> None:
         self.levels = levels
         self.config = config
-        self._prepared = PreparedLevels(levels, config, folder)
+        self._prepared = prepared or PreparedLevels(levels, config)
         self._classes = WeightClasses(config.class_edges)
         self._planes = face_planes()
 

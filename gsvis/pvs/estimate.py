@@ -21,7 +21,7 @@ from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.coded_size import BESIDE, DIRECTIONS_BYTES, bytes_of_cell
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.memory import SCENE_BYTES, expected_memory, fitting_workers
+from gsvis.pvs.memory import expected_memory, fitting_workers, shared_files
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
@@ -144,7 +144,7 @@ def estimate_pvs(
         ever=int(np.count_nonzero(tried.seen)),
         disk=int(BESIDE * tried.coded / tried.cells * cells + DIRECTIONS_BYTES * len(levels.union)),
         working_disk=int(tried.held / tried.looks * viewpoints + tried.kept / tried.cells * cells)
-        + (SCENE_BYTES * len(levels.union) if processes else 0),
+        + (shared_files(levels, config) if processes else 0),
         load=load,
     )
 

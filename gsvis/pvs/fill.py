@@ -52,15 +52,17 @@ def sample_fill_of_cells(
         progress: Called with stage "fill", in cells.
     """
     top = levels.member(len(levels) - 1)
-    plain = levels.union.without_harmonics()  # a quarter of the memory to select from
+    shown = np.zeros(len(levels.union), np.bool_)
     own = store.gaussians
     rows = np.zeros((len(store), 3))
     progress("fill", 0, len(store))
     for cell in range(len(store)):
-        ids = store.visible_ids(cell)
+        shown[:] = False
+        shown[store.visible_ids(cell)] = True
         if beyond is not None:
-            ids = np.concatenate([ids, own + beyond.visible_ids(cell)])
-        found = sample_fill_around(plain[ids[top[ids]]], store.grid.centers[cell][None])
+            shown[own + beyond.visible_ids(cell)] = True
+        shown &= top
+        found = sample_fill_around(levels.union.showing(shown), store.grid.centers[cell][None])
         rows[cell] = found.splats[0], found.mean[0], found.worst[0]
         progress("fill", cell + 1, len(store))
     return SampledFill(*rows.T)

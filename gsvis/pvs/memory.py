@@ -10,20 +10,20 @@ from gsvis.jobs.workers import Workers
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.levels import Levels
 
-__all__ = ["SCENE_BYTES", "expected_memory", "fitting_workers", "sets_memory"]
+__all__ = ["expected_memory", "fitting_workers", "sets_memory", "shared_files"]
 
-# Measured peaks with a margin (docs/design/070): bytes of a process with its libraries, and for each Gaussian: of its
-# looks, and of the tracer that certifies.
+# Measured peaks with a margin (docs/design/070): bytes of a process with its libraries; for each Gaussian those of its
+# prepared look and of the tracer that certifies, which processes share, and those that a process needs beside them.
 _BASE = {"hybrid": 280 << 20, "raster": 380 << 20, "raycast": 260 << 20}
-_PER_GAUSSIAN = {"hybrid": 190 + 420, "raster": 420 + 420, "raycast": 680 + 420}
+_PREPARED = {"hybrid": 110 + 420, "raster": 70 + 420, "raycast": 70 + 420}
+_PER_GAUSSIAN = {"hybrid": 80, "raster": 350, "raycast": 610}
 _PER_PIXEL = {"hybrid": 6 * 24, "raster": 6 * 64, "raycast": 6 * 64}  # all six faces
 _PARENT_BASE = 220 << 20
 _PARENT_PER_GAUSSIAN = 320  # navigable space, order of the store, and leftovers of reading
 _CHECK_BASE = 300 << 20  # parts of the second tracer
 _CHECK_PER_GAUSSIAN = 420  # hierarchy of the first
 
-SCENE_BYTES = 58
-"""Bytes of each Gaussian in the file of the scene that workers map."""
+_SCENE_BYTES = 58  # of each Gaussian in the arrays of the scene
 
 
 class _Sizes(NamedTuple):
@@ -60,17 +60,27 @@ def _check_twice(sizes: _Sizes) -> int:
     return _CHECK_BASE + _CHECK_PER_GAUSSIAN * sizes.counts[-1]
 
 
+def _prepared(gaussians: int, config: PvsConfig) -> int:
+    """Return the bytes of the looks and tracers of that many Gaussians."""
+    return (_PREPARED[config.method] + _SCENE_BYTES) * gaussians
+
+
 def _worker(sizes: _Sizes, config: PvsConfig) -> int:
-    """Return the bytes of memory of a worker process."""
-    pixels = _PER_PIXEL[config.method] * config.size**2
-    copies = SCENE_BYTES * sizes.drawn if len(sizes.counts) > 1 else 0  # a single level is the mapped arrays themselves
-    return _BASE[config.method] + _PER_GAUSSIAN[config.method] * sizes.drawn + copies + pixels
+    """Return the bytes of memory of a worker process beside what all of them share."""
+    return (
+        _BASE[config.method] + _PER_GAUSSIAN[config.method] * sizes.drawn + _PER_PIXEL[config.method] * config.size**2
+    )
 
 
 def _alone(sizes: _Sizes, config: PvsConfig) -> int:
     """Return the bytes of memory of one process that does all the work."""
     held = sizes.nbytes + _PARENT_PER_GAUSSIAN // 4 * sizes.union
-    return max(_parent(sizes) + _check_twice(sizes), _worker(sizes, config) + held)
+    return max(_parent(sizes) + _check_twice(sizes), _prepared(sizes.drawn, config) + _worker(sizes, config) + held)
+
+
+def _together(sizes: _Sizes, config: PvsConfig) -> int:
+    """Return the bytes of memory of all processes before any worker starts."""
+    return _parent(sizes) + _prepared(sizes.drawn, config)
 
 
 def sets_memory(counts: Sequence[int], gaussians: int, sh_degree: int, config: PvsConfig) -> int:
@@ -90,7 +100,12 @@ def expected_memory(levels: Levels, config: PvsConfig, count: int) -> int:
     sizes = _sizes_of(levels)
     if count == 1:
         return _alone(sizes, config)
-    return _parent(sizes) + max(_check_twice(sizes), count * _worker(sizes, config))
+    return max(_parent(sizes) + _check_twice(sizes), _together(sizes, config) + count * _worker(sizes, config))
+
+
+def shared_files(levels: Levels, config: PvsConfig) -> int:
+    """Return the bytes of the files that processes of a machine share while they work."""
+    return _SCENE_BYTES * len(levels.union) + _prepared(_sizes_of(levels).drawn, config)
 
 
 def fitting_workers(levels: Levels, config: PvsConfig, workers: Workers) -> int:
@@ -101,5 +116,5 @@ def fitting_workers(levels: Levels, config: PvsConfig, workers: Workers) -> int:
     alone = _alone(sizes, config)
     if workers.max_memory < alone:
         raise memory_error(alone, workers.max_memory, f"{len(levels.union):,} Gaussians", COARSER)
-    room = (workers.max_memory - _parent(sizes)) // _worker(sizes, config)
+    room = (workers.max_memory - _together(sizes, config)) // _worker(sizes, config)
     return int(min(workers.count, room)) if room >= 2 else 1

@@ -1,7 +1,11 @@
-"""Prepare the levels of a scene for looks and certificates, all in memory or one at a time. Scene frame and units."""
+"""Prepare the levels of a scene for looks and certificates: in memory, one at a time, or once for several processes.
+
+Scene frame and units.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -9,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.files.shelf import Shelf
+from gsvis.files.shelf import Shelf, Shelved, shelve
 from gsvis.pvs.certificate import Certifier
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.look import Look
@@ -48,11 +52,19 @@ class PreparedLevels:
         levels: The levels.
         config: How visible sets are found.
         folder: Folder for what is prepared, so that memory holds one level at a time; None keeps all in memory.
+        made: What `shelve` made of the same levels, maybe in another process; empty to prepare them here.
     """
 
-    def __init__(self, levels: Levels, config: PvsConfig, folder: Path | None = None) -> None:
+    def __init__(
+        self,
+        levels: Levels,
+        config: PvsConfig,
+        folder: Path | None = None,
+        made: Sequence[Shelved[PreparedLevel]] = (),
+    ) -> None:
         self._levels = levels
         self._config = config
+        self._made = made
         self._ready: dict[int, PreparedLevel] = {}
         self._shelf = None if folder is None or len(levels) == 1 else Shelf(folder)
         self._held: int | None = None  # the level asked for last
@@ -66,10 +78,25 @@ class PreparedLevels:
             self._ready[level] = self._prepare(level)
         return self._ready[level]
 
+    def shelve(self, folder: Path) -> tuple[Shelved[PreparedLevel], ...]:
+        """Write all levels to files of a folder, which processes share; memory holds one level at a time.
+
+        Raises:
+            OutputError: If a file cannot be written.
+        """
+        shelved = []
+        for level in range(len(self._levels)):
+            prepared = self._prepare(level)
+            _ = prepared.certifier.tracer.hierarchy  # it is to lie in the file too
+            shelved.append(shelve(prepared, folder / f"level_{level}.arrays"))
+        return tuple(shelved)
+
     def _prepare(self, level: int) -> PreparedLevel:
         """Return a prepared level."""
         from gsvis.raycast import EllipsoidProxies, Tracer
 
+        if self._made:
+            return self._made[level].open()
         ids = np.flatnonzero(self._levels.member(level))
         union = self._levels.union
         look = self._keep(
