@@ -9,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests import warm_start
+
 __all__ = ["GUARD", "Halted"]
 
 GUARD = 600.0  # seconds until a hang is a failure; no verdict rests on them
@@ -49,7 +51,7 @@ class Halted:
 
     def __init__(self, stage: str, done: int, *words: object) -> None:
         self._pipe, theirs = os.pipe()
-        self.process = subprocess.Popen(
+        self.process = warm_start.Popen(
             [sys.executable, "-c", _PROGRAM, str(theirs), stage, str(done), *map(str, words)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

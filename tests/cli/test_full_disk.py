@@ -14,6 +14,7 @@ import pytest
 
 from gsvis.cli import main
 from gsvis.errors import GsvisError, OutputError
+from tests import warm_start
 from tests.cli.every_command import COMMANDS, at_their_smallest, make_world
 
 pytestmark = pytest.mark.usefixtures("blank_plots")
@@ -149,7 +150,7 @@ def test_a_full_standard_output_is_reported(world: dict[str, Path]) -> None:
     for words in (["inspect", str(world["ply"])], ["inspect", str(world["ply"]), "--json"], ["--help"], ["--version"]):
         with full.open("w") as stdout:
             command = [sys.executable, "-m", "gsvis", *words]
-            done = subprocess.run(command, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False)
+            done = warm_start.run(command, stdout=stdout, stderr=subprocess.PIPE, text=True)
         assert done.returncode == 1
         *progress, error = done.stderr.splitlines()
         assert error.startswith("gsvis: error: standard output: cannot be written: no space left on device")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from gsvis.cli import main
+from tests import warm_start
 from tests.cli.every_command import COMMANDS, at_their_smallest, make_world, words_of
 
 pytestmark = [
@@ -100,7 +100,7 @@ def test_a_terminal_gets_colors_and_nothing_from_names(world: dict[str, Path], t
     """Progress bars move the cursor and tables have colors, so the terminal itself obeys escapes."""
     ours, theirs = os.openpty()
     command = [sys.executable, "-m", "gsvis", "convert", str(world["ply"]), str(tmp_path / f"{NAME}.spz")]
-    with subprocess.Popen(
+    with warm_start.Popen(
         command, stdin=theirs, stdout=theirs, stderr=theirs, env={**os.environ, "TERM": "xterm"}
     ) as p:
         os.close(theirs)

@@ -6,7 +6,6 @@ import json
 import os
 import re
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,6 +25,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms, wall_with_hole
 from gsvis.train.images import PosedImages
 from gsvis.train.levels import LevelsConfig
+from tests import warm_start
 from tests.cli.halted import Halted
 from tests.known_spaces import coarse_spaces
 
@@ -401,7 +401,7 @@ def test_a_file_changed_after_a_kill_between_files_is_not_replaced(ply: Path, tm
     code += "    Path(b).parent == Path(sys.argv[3]) and os.kill(os.getpid(), signal.SIGKILL)\n"
     code += "atomic.os.replace = replace\natomic.swap_folder = lambda *_: False\n"
     code += "from gsvis.cli import main; main(['levels', *sys.argv[1:]])"
-    ended = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, check=False)
+    ended = warm_start.run([sys.executable, "-c", code, *words], capture_output=True, check=False)
     assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
     mine = tmp_path / "levels" / "high.ply"
     assert names(tmp_path / "levels") == ["high.ply"]

@@ -24,6 +24,7 @@ from websockets.sync.client import connect
 from gsvis.cli import main
 from gsvis.serve import ClientConfig, ManualClock, Server, StreamClient
 from gsvis.stream import Hello
+from tests import warm_start
 from tests.serve.certificates import certificate
 from tests.serve.servers import PATIENCE, VIEW, give_up, has_all, patient, slow_link, still
 from tests.stream.worlds import package_of
@@ -41,12 +42,12 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def process(*arguments: object, **environment: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def process(
+    *arguments: object, start: type[subprocess.Popen[str]] = warm_start.Popen, **environment: str
+) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A server and its address."""
     command = [sys.executable, "-m", "gsvis", "serve", *map(str, arguments), *PATIENT, "--json"]
-    running = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=PLAIN | environment
-    )
+    running = start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=PLAIN | environment)
     try:
         assert running.stdout is not None
         text = ""
@@ -72,7 +73,7 @@ def failed(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
 
 
 def test_it_says_where_it_is_and_ends_well(package: Path) -> None:
-    with process(package, "--port", 0, GSVIS_TOKEN="word-of-mouth") as (running, url):
+    with process(package, "--port", 0, start=subprocess.Popen, GSVIS_TOKEN="word-of-mouth") as (running, url):
         assert url.startswith("ws://127.0.0.1:")
         client, _ = patient(url, package, config=ClientConfig(token="word-of-mouth"))
         assert has_all(client.receiver, package)

@@ -28,6 +28,7 @@ from gsvis.scene.paths import HeadPath
 from gsvis.scene.procedural import two_rooms
 from gsvis.world import World
 from gsvis.world.prepare import prepare_world
+from tests import warm_start
 from tests.package.worlds import colors_of
 from tests.simulate.streets import package_of, walk
 from tests.world.cities import config
@@ -192,7 +193,7 @@ def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def gsvis(*words: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "gsvis", *(str(word) for word in words)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return warm_start.run(command, capture_output=True, text=True, check=False)
 
 
 def test_a_world_beside_a_package_in_a_process_of_its_own(city: Path, folder: Path, tmp_path: Path) -> None:

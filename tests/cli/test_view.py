@@ -22,6 +22,7 @@ from gsvis.cli.options import PLACING, Reading, Shown, leaves
 from gsvis.export import write_static
 from gsvis.scene.procedural import two_rooms
 from gsvis.serve.scenes import Scenes, open_scene
+from tests import warm_start
 from tests.serve.servers import PATIENCE, has_all, patient, until
 from tests.stream.worlds import package_of
 
@@ -39,7 +40,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def viewing(*arguments: object, **environment: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
     """A running command and the document that it prints."""
     command = [sys.executable, "-m", "gsvis", "view", *map(str, arguments), "--port", "0", "--json"]
-    running = subprocess.Popen(
+    running = warm_start.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=PLAIN | environment
     )
     try:

@@ -16,6 +16,7 @@ import pytest
 from gsvis.cli import main
 from gsvis.package.made_from import candidates_of, made_from_of
 from gsvis.world import World
+from tests import warm_start
 from tests.few_views import take_few_views
 from tests.known_spaces import fine_spaces
 from tests.world import cities
@@ -128,7 +129,7 @@ def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bytes(scene: st
     def start(out: Path) -> subprocess.Popen[bytes]:
         words = ["-m", "tests.few_views", "world", scene, "-o", str(out), *SMALL]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        return subprocess.Popen([sys.executable, *words], cwd=Path(__file__).parents[2], **quiet)
+        return warm_start.Popen([sys.executable, *words], cwd=Path(__file__).parents[2], **quiet)
 
     whole, killed = tmp_path / "whole.gsworld", tmp_path / "killed.gsworld"
     with fine_spaces():

@@ -23,6 +23,7 @@ from gsvis.serve.log_lines import JsonLines, TextLines
 from gsvis.serve.processes import Child, Supervisor, _Place
 from gsvis.serve.server import Address, listen
 from gsvis.serve.siblings import Siblings
+from tests import warm_start
 from tests.serve.servers import PATIENCE, VIEW, has_all, still, until
 
 
@@ -57,7 +58,7 @@ def many(*packages: Path, count: int = 2, options: tuple[str, ...] = ()) -> Iter
     command = [sys.executable, "-m", "gsvis", "serve", *map(str, packages), "--port", "0", "--json",
                "--workers", str(count), *options]  # fmt: skip
     with log.open("w") as errors:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
+        process = warm_start.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
     try:
         assert process.stdout is not None
         line = ""
@@ -250,8 +251,8 @@ def test_one_process_ends_with_the_same_status(plain: Path) -> None:
 
 def test_what_is_wrong_shows_once(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "gsvis", "serve", str(tmp_path / "none.gsvis"), "--port", "0", "--workers", "3"]
-    found = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
-    single = subprocess.run([*command[:-2]], capture_output=True, text=True, timeout=PATIENCE)
+    found = warm_start.run(command, capture_output=True, text=True, timeout=PATIENCE)
+    single = warm_start.run([*command[:-2]], capture_output=True, text=True, timeout=PATIENCE)
     assert found.returncode == single.returncode != 0
     assert found.stderr.count("none.gsvis") == single.stderr.count("none.gsvis")
 

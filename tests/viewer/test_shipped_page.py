@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 
 from gsvis.export import write_site
+from tests import warm_start
 from tests.serve.nginx import NGINX, free_port, nginx
 from tests.serve.servers import PATIENCE, serving, until
 from tests.stream.worlds import package_of
@@ -188,7 +189,7 @@ def test_after_a_kill_of_the_server_the_page_goes_on_with_what_it_holds(
     port, log = free_port(), tmp_path / "log"
     command = [sys.executable, "-m", "gsvis", "serve", str(package), "--port", str(port)]
     with log.open("w") as lines:
-        running = subprocess.Popen(command, stderr=lines, stdout=subprocess.DEVNULL)
+        running = warm_start.Popen(command, stderr=lines, stdout=subprocess.DEVNULL)
     try:
         until(lambda: running.poll() is not None or " listening " in log.read_text())
         assert running.poll() is None, log.read_text()

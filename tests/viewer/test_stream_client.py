@@ -26,6 +26,7 @@ from gsvis.color.evaluate import evaluate
 from gsvis.package import Package
 from gsvis.package.layout import TermLayout
 from gsvis.stream import Hello, Receiver, StreamedScene, parse_client
+from tests import warm_start
 from tests.serve.servers import PATIENCE, VIEW, patient, serving, slow_link, until
 from tests.stream.worlds import package_of
 from tests.viewer.bundles import NEEDS_NODE, bundle
@@ -334,7 +335,7 @@ def _served(package: Path, port: int, log: Path) -> Iterator[None]:
     """`gsvis serve`, killed at the end."""
     command = [sys.executable, "-m", "gsvis", "serve", str(package), "--port", str(port), "--log-format", "json"]
     with log.open("w") as lines:
-        running = subprocess.Popen(command, stderr=lines, stdout=subprocess.DEVNULL)
+        running = warm_start.Popen(command, stderr=lines, stdout=subprocess.DEVNULL)
         try:
             _until_listening(port, lambda: running.poll() is None)
             yield
