@@ -16,7 +16,7 @@ def draw_no_places(patch: pytest.MonkeyPatch) -> None:
     """Draw no picture of where people stand."""
     from gsvis.report import readings
 
-    patch.setattr(readings, "picture_of", lambda source, place: PIXEL)
+    patch.setattr(readings, "picture_of", lambda source, place, **options: PIXEL)
 
 
 def take_few_judges(patch: pytest.MonkeyPatch) -> None:

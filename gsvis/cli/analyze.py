@@ -11,6 +11,7 @@ import numpy as np
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Analyze
+from gsvis.cli.device import say_device
 from gsvis.cli.options import command_line, config_of, refuse, values_of
 from gsvis.cli.source import inspect_scene_of, open_source
 from gsvis.cli.targets import check_report, check_tracer
@@ -22,6 +23,7 @@ from gsvis.io.sources import is_builtin
 from gsvis.package.shown import check_shown, load_shown
 from gsvis.prepare.warm import warm_analysis
 from gsvis.raycast import CrossCheck, describe_check
+from gsvis.render.device import choose_device
 from gsvis.render.judges import JUDGES
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -53,8 +55,10 @@ def run_analyze(command: Analyze) -> None:
     walk = check_where(command.where)
     given = _given_cameras(command)
     differs = _differs(command, 0 if given is None else len(given))  # read it now: the file may change later
+    device = choose_device(command.device)
     with Status() as status:
-        document, remarks = _write_report(command, given, walk, differs, status)
+        say_device(device, status)
+        document, remarks = _write_report(command, given, walk, differs, device.backend, status)
     if command.output.json:
         print_json(document)
     else:
@@ -62,7 +66,7 @@ def run_analyze(command: Analyze) -> None:
 
 
 def _write_report(
-    command: Analyze, given: Cameras | None, walk: HeadPath | None, differs: str, status: Status
+    command: Analyze, given: Cameras | None, walk: HeadPath | None, differs: str, backend: str, status: Status
 ) -> tuple[dict[str, Any], list[str]]:
     """Read the scene, analyze it and write the report; return its document."""
     from gsvis.raycast import EllipsoidProxies, Tracer
@@ -110,7 +114,7 @@ def _write_report(
         seconds=dict(status.seconds),
         differs=differs,
         judged=judged,
-        place=None if navigable is None else picture_of(source, place),
+        place=None if navigable is None else picture_of(source, place, backend=backend),
     )
     return write_report(command.out, analysis, subject, pictures, progress=status), remarks
 
@@ -180,7 +184,7 @@ def _sample_cameras(command: Analyze, navigable: NavigableSpace | None, no_space
 
 def _parameters(command: Analyze, cameras: Cameras) -> dict[str, Any]:
     """Return all parameters that the result depends on, with defaults filled in."""
-    silent = ("out", "json", "debug", "drop_invalid")
+    silent = ("out", "device", "json", "debug", "drop_invalid")
     return {
         **{name: value for name, value in values_of(command).items() if name not in silent},
         "views": len(cameras),

@@ -31,7 +31,7 @@ from gsvis.cli.options import (
 from gsvis.cli.options import (
     Levels as Training,
 )
-from gsvis.cli.readers import AsInPaper, Count, File, Flag, Lod, Memory, Report, Scene, Seed, hint, out
+from gsvis.cli.readers import AsInPaper, Count, Device, File, Flag, Lod, Memory, Report, Scene, Seed, hint, out
 
 __all__ = [
     "Analyze",
@@ -114,6 +114,9 @@ class Analyze:
     """Horizontal field of view of sampled cameras."""
     as_in_paper: AsInPaper = False
     tracing: Tracing = Tracing()
+    device: Device = "auto"
+    """Device that draws and trains. auto: cuda where torch and gsplat can use a GPU here, else cpu. It draws the
+    picture of where people stand; rays are traced on the CPU. (default: auto)"""
     output: Annotated[Reading, REPORT] = Reading()
 
 
@@ -181,8 +184,11 @@ class Render:
     picture: Picture = Picture()
     contributors: Annotated[tuple[int, int] | None, readers.PIXEL, hint("none")] = None
     """List the Gaussians blended into the pixel in column X and row Y, front to back; for one camera."""
-    backend: Annotated[Literal["auto", "cpu", "cuda", "reference"], readers.PLAIN] = "auto"
-    """Renderer; auto uses a GPU if there is one that can draw. (default: auto)"""
+    device: Device = "auto"
+    """Device that draws and trains. auto: cuda where torch and gsplat can use a GPU here, else cpu. It draws pictures;
+    the list of contributors is made on the CPU. (default: auto)"""
+    reference: Flag = False
+    """Draw by the plain renderer that the others are compared with, on the CPU; hundreds of times slower."""
     overwrite: Flag = False
     """Replace pictures that exist and that something else wrote; those of gsvis render are replaced without it."""
     output: Reading = Reading()
@@ -225,6 +231,9 @@ class Pvs:
             dry_run="Print time, memory and disk after a few cells were tried, and write nothing.",
         ),
     ] = Cluster()
+    device: Device = "auto"
+    """Device that draws and trains. auto: cuda where torch and gsplat can use a GPU here, else cpu. Visible sets are
+    found on the CPU, whatever it is. (default: auto)"""
     output: Reading = Reading()
 
 
@@ -291,7 +300,7 @@ class Compared:
 
 @dataclass(frozen=True, kw_only=True)
 class Learning:
-    """What the fitted colors learn from."""
+    """What the fitted colors learn from, and what draws it."""
 
     photos: Annotated[str | None, hint("none", "DIR")] = None
     """Photographs to train colors on, with the COLMAP model or transforms.json that SCENE was trained from."""
@@ -300,6 +309,9 @@ class Learning:
     color_steps: Annotated[int | None, readers.WHOLE, hint("300")] = None
     """Steps of learning, one view each: photographs, or renders of SCENE without --photos, kept if held-out renders
     gain; 0 keeps the fit."""
+    device: Device = "auto"
+    """Device that draws and trains. auto: cuda where torch and gsplat can use a GPU here, else cpu. It draws while
+    colors are learned; they are fitted and measured on the CPU. (default: auto)"""
 
 
 @dataclass(frozen=True)
@@ -363,6 +375,9 @@ class Levels:
     as_in_paper: AsInPaper = False
     seed: Seed = 0
     max_memory: Memory = None
+    device: Device = "auto"
+    """Device that draws and trains. auto: cuda where torch and gsplat can use a GPU here, else cpu. It trains levels;
+    what stays in them is chosen, and all is measured, on the CPU. (default: auto)"""
     output: Reading = Reading()
 
 

@@ -9,7 +9,7 @@ from tyro.conf import Positional, arg
 
 from gsvis.cli import readers
 from gsvis.cli.options import UP, Output, Placed, Reading, Shown, with_help
-from gsvis.cli.readers import Count, FaceSize, File, Flag, Lod, Memory, Overwrite, Scene, Seed, hint, out
+from gsvis.cli.readers import Count, Device, FaceSize, File, Flag, Lod, Memory, Overwrite, Scene, Seed, hint, out
 
 __all__ = ["Clean", "Convert", "Cut", "Paint", "Train"]
 
@@ -57,8 +57,8 @@ class Train:
     """The scene to write, .ply, .compressed.ply, .spz, .sog or .ksplat. Its record goes beside it: scene.train.json."""
     photos: Photographs = Photographs()
     training: Training = Training()
-    backend: Annotated[Literal["auto", "cpu", "cuda"], readers.PLAIN] = "auto"
-    """Renderer; auto uses a GPU if there is one that can draw. (default: auto)"""
+    device: Device = "auto"
+    """Device that draws and trains. auto: cuda where torch and gsplat can use a GPU here, else cpu. (default: auto)"""
     checkpoint: Annotated[str | None, hint("OUT.checkpoint", "FILE")] = None
     """File that keeps an unfinished run. The same command resumes from it; it is removed at the end."""
     checkpoint_seconds: Annotated[int, readers.COUNTED] = 120

@@ -24,7 +24,7 @@ from gsvis.cli.options import (
     Work,
     with_help,
 )
-from gsvis.cli.readers import AsInPaper, Count, Flag, Lod, Overwrite, Scene, Seed, Units, Up, hint, out
+from gsvis.cli.readers import AsInPaper, Count, Device, Flag, Lod, Overwrite, Scene, Seed, Units, Up, hint, out
 
 __all__ = ["Export", "Prepare", "Presented", "Serve", "Space", "Unpack", "Verify", "View", "World"]
 
@@ -62,6 +62,15 @@ class FilteredFit(Fit):
     computed)"""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Machine(Work):
+    """The machine that works, and its GPU."""
+
+    device: Device = "auto"
+    """Device that draws and trains. auto: cuda where torch and gsplat can use a GPU here, else cpu. It trains levels
+    and draws while colors are learned; all else runs on the CPU. (default: auto)"""
+
+
 @dataclass(frozen=True)
 class Prepare:
     """Make a package of a scene that can be served: levels, visible sets, colors."""
@@ -87,12 +96,12 @@ class Prepare:
     """Length of a scene unit in meters, kept in the package."""
     seed: Seed = 0
     work: Annotated[
-        Work,
+        Machine,
         with_help(
             workers="Number of processes that find visible sets. The package is the same for any number.",
             dry_run="Print time, memory and disk of each stage, and write nothing.",
         ),
-    ] = Work()
+    ] = Machine()
     join_cells: Flag = False
     """Join cells until visible sets are about a fifth of the package: it is smaller, and first images come later."""
     discard: Flag = False

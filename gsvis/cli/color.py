@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gsvis._extras import remedy_of, require
 from gsvis.cli import version
 from gsvis.cli.arguments import Color
+from gsvis.cli.device import say_device
 from gsvis.cli.memory import check_memory
 from gsvis.cli.options import Fit, command_line, config_of, refuse, values_of
 from gsvis.cli.source import inspect_scene_of, levels_spelled, open_source, summarize_levels
@@ -25,6 +26,7 @@ from gsvis.files.output import check_file
 from gsvis.io.sources import check_source, inputs_of
 from gsvis.prepare.warm import warm_colors
 from gsvis.pvs.store import VisibilityStore
+from gsvis.render.device import choose_device
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.source import Source
@@ -41,7 +43,7 @@ __all__ = ["color_config", "learned_rows", "run_color"]
 
 _HELD_OUT = 1  # stream of random numbers of the held-out views; that of the fit is 0
 _FOV = 60.0
-_SILENT = ("max_memory", "json", "debug", "drop_invalid")
+_SILENT = ("max_memory", "device", "json", "debug", "drop_invalid")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,10 @@ def run_color(command: Color) -> None:
     """Fit colors: read, find directions, fit, write, compare, print the result."""
     config = _check_arguments(command)
     walk = check_where(command.where, "" if command.pvs is None else "--pvs")
+    device = choose_device(command.learning.device)
+    config = replace(config, backend=device.backend)
     with ExitStack() as opened, Status() as status:
+        say_device(device, status)
         store = None if command.pvs is None else opened.enter_context(VisibilityStore.open(command.pvs))
         plan = _plan(command, config, store, walk, status)
         fitted = _run(command, plan, status)

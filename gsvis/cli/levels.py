@@ -14,6 +14,7 @@ from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Levels
 from gsvis.cli.asking import settle_space
+from gsvis.cli.device import say_device
 from gsvis.cli.memory import check_memory, machine_memory, training_grows
 from gsvis.cli.options import image_size, naming, refuse
 from gsvis.cli.source import open_source
@@ -26,6 +27,7 @@ from gsvis.files.output import check_folder
 from gsvis.io.levels import MAP, check_levels_target, check_names, load_levels, save_levels
 from gsvis.io.sources import check_source
 from gsvis.prepare.warm import warm_levels
+from gsvis.render.device import choose_device
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels as SceneLevels
@@ -93,7 +95,10 @@ def run_levels(command: Levels) -> None:
     require("gsvis levels", "torch")
     config = _check_arguments(command)
     walk = check_where(command.where, "" if command.training.photos is None else "--photos")
+    device = choose_device(command.device)
+    config = replace(config, backend=device.backend)
     with Status() as status:
+        say_device(device, status)
         plan = _plan(command, config, walk, status)
         warm_levels(config, status)
         trained, record = _run(plan.command, plan, status)

@@ -14,6 +14,7 @@ from gsvis.cli import version
 from gsvis.cli.arguments import Prepare
 from gsvis.cli.asking import settle_space
 from gsvis.cli.color import color_config, learned_rows
+from gsvis.cli.device import say_device
 from gsvis.cli.levels import (
     SHARES,
     check_views,
@@ -38,6 +39,7 @@ from gsvis.package.made_from import note_paths
 from gsvis.package.original import about_source
 from gsvis.prepare.warm import warm_colors, warm_levels, warm_sets
 from gsvis.pvs.config import PvsConfig
+from gsvis.render.device import Device, choose_device
 from gsvis.scene.lengths import spell_volume
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.source import Source
@@ -69,7 +71,10 @@ def run_prepare(command: Prepare) -> None:
     config = check_arguments(command)
     walk = check_where(command.where)
     workers = local_workers(command.work)
+    device = choose_device(command.work.device)
+    config = _on_device(config, device)
     with Status() as status, naming(**MEMORY):
+        say_device(device, status)
         source = open_source(command.scene, command.lod, status, "see")
         if command.meters_per_unit is None:
             config = replace(config, meters_per_unit=source.gaussians.facts.meters_per_unit or 0.0)
@@ -106,6 +111,12 @@ def run_prepare(command: Prepare) -> None:
         _print_estimate(command, source, space, estimate, [*remarks, settled.written])
     else:
         _print_result(command, source, space, prepared, remarks)
+
+
+def _on_device(config: PrepareConfig, device: Device) -> PrepareConfig:
+    """Return the same settings with the device that trains levels and draws while colors are learned."""
+    levels = None if config.levels is None else replace(config.levels, backend=device.backend)
+    return replace(config, levels=levels, colors=replace(config.colors, backend=device.backend))
 
 
 def _photo_cameras(command: Prepare) -> Cameras | None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from gsvis.cli.arguments import Pvs
 from gsvis.cli.asking import settle_space
+from gsvis.cli.device import say_device
 from gsvis.cli.memory import IN_TILES, check_sets
 from gsvis.cli.options import Cluster, Work, config_of, naming, refuse
 from gsvis.cli.source import levels_spelled, open_source, summarize_levels
@@ -31,6 +32,7 @@ from gsvis.pvs.estimate import Estimate, estimate_pvs
 from gsvis.pvs.store import VisibilityStore, check_store_target
 from gsvis.pvs.stored_certificates import StoredCertificates
 from gsvis.raycast import CrossCheck, describe_check
+from gsvis.render.device import Device, choose_device
 from gsvis.scene.content import scene_hash
 from gsvis.scene.lengths import spell_length, spell_volume
 from gsvis.scene.navigable import NavigableSpace
@@ -61,7 +63,9 @@ def run_pvs(command: Pvs) -> None:
     """Build a store: read, cut the space into cells, find visible sets, write the store, print the result."""
     config = _check_arguments(command)
     walk = check_where(command.where)
+    device = _device_of(command)
     with Status() as status, open_workers(command.work) as workers, naming(**MEMORY):
+        say_device(device, status)
         plan = _plan(command, config, walk, status)
         if command.work.dry_run:
             estimate = estimate_pvs(
@@ -77,6 +81,14 @@ def run_pvs(command: Pvs) -> None:
         return
     with store:
         _print_result(command, plan, store, seconds)
+
+
+def _device_of(command: Pvs) -> Device:
+    """Return the CPU, which finds visible sets; raise if a GPU is asked for and does not work here."""
+    if command.device != "cuda":
+        return Device("cpu")
+    choose_device("cuda")
+    return Device("cpu", "no kernel finds visible sets there yet")
 
 
 def _check_arguments(command: Pvs) -> PvsConfig:

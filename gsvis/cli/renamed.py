@@ -14,6 +14,7 @@ _IMAGES = dict.fromkeys(("train", "levels", "prepare"), "--width and --height")
 
 RENAMED: dict[str, dict[str, str]] = {
     "--as-is": {"simulate": "--no-retarget"},
+    "--backend": {"render": "--device, or --reference", "train": "--device"},
     "--camera": {"render": "--cameras"},
     "--compression": {"convert": "--ksplat-compression"},
     "--hold-out": {"train": "--test-every"},
@@ -35,6 +36,7 @@ RENAMED: dict[str, dict[str, str]] = {
 
 SYNONYMS: dict[str, tuple[str, ...]] = {
     "--cameras": ("--camera", "--camera-path", "--poses-file"),
+    "--device": ("--gpu", "--accelerator"),
     "--face-size": ("--face-pixels", "--cube-size"),
     "--height": ("--image-height",),
     "--max-memory": ("--memory", "--mem", "--memory-limit"),

@@ -6,16 +6,17 @@ Cameras come from a file, an orbit or a point, or are sampled in the navigable s
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis._check import plain
 from gsvis._extras import require
 from gsvis.cli.arguments import Render
+from gsvis.cli.device import say_device
 from gsvis.cli.options import refuse, values_of
 from gsvis.cli.source import open_source
 from gsvis.cli.terminal import Status, facts, print_json, show
@@ -25,7 +26,8 @@ from gsvis.io.report_cameras import describe_cameras
 from gsvis.package.shown import check_shown, load_shown
 from gsvis.prepare.warm import warm_rendering
 from gsvis.render import PixelContributors, contributors, rasterize
-from gsvis.render.cuda import choose_backend
+from gsvis.render.device import choose_device
+from gsvis.render.device_scene import DeviceScene
 from gsvis.report.frames import Frame, Target, target_of, write_frames
 from gsvis.scene.axes import describe_direction
 from gsvis.scene.cameras import Cameras
@@ -70,11 +72,15 @@ def run_render(command: Render) -> None:
         require("gsvis render --depth", "matplotlib")
     check_shown(command.scene, command.lod)
     walk = check_views(command)
-    backend = choose_backend(command.backend)
+    if command.reference and command.device == "cuda":
+        raise ValueError("--reference: expected the CPU, got --device cuda; leave out either")
+    device = choose_device("cpu" if command.reference else command.device)
+    backend = "reference" if command.reference else device.name
     given = given_cameras(command)
     target = _target(command, camera_count(command, given))
     older = target.older() if target else 0
     with Status() as status:
+        say_device(device, status)
         done = _render(command, given, walk, target, backend, status)
     if command.output.json:
         print_json(_document(command, target, done))
@@ -122,22 +128,18 @@ def _render(
 
 def _frames(command: Render, g: Gaussians, cameras: Cameras, backend: str, status: Status) -> Iterator[Frame]:
     """Yield the render of each camera, one at a time."""
-    scene: Any = g
-    if backend == "cuda":  # once, not for every frame
-        from gsvis.render import GaussianTensors
-
-        scene = GaussianTensors.from_gaussians(g, device="cuda")
+    draw: Callable[..., Any] = DeviceScene(g, backend).draw
+    if command.reference:
+        draw = partial(rasterize, g, backend=backend)
     status("rendering", 0, len(cameras))
     for i in range(len(cameras)):
-        seen = rasterize(
-            scene,
+        seen = draw(
             cameras[i],
-            backend=backend,
             background=command.picture.background,
             sh_degree=command.picture.sh_degree,
             antialiased=command.picture.antialiased or g.facts.antialiased,
         )
-        yield Frame(*(plain(part[0]) for part in (seen.images, seen.alphas, seen.depths)))
+        yield Frame(*(part[0] for part in (seen.images, seen.alphas, seen.depths)))
         status("rendering", i + 1, len(cameras))
 
 

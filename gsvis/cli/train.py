@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from gsvis._extras import require
 from gsvis._text import as_json
 from gsvis.cli import version
 from gsvis.cli.arguments import Train
+from gsvis.cli.device import say_device
 from gsvis.cli.options import image_size
 from gsvis.cli.stopping import between_steps, resumable
 from gsvis.cli.targets import check_exists, check_new
@@ -23,6 +24,7 @@ from gsvis.files.limits import open_regular
 from gsvis.files.output import check_file
 from gsvis.io.scenes import WRITTEN, suffix_of
 from gsvis.prepare.warm import warm_training
+from gsvis.render.device import Device, choose_device
 
 if TYPE_CHECKING:
     from gsvis.progress import Progress
@@ -47,7 +49,7 @@ class _Plan:
         trainer: The trainer, before its first step.
         start: Description of the initial points.
         checkpoint: The file to resume from.
-        device: Device to render on, "cpu" or "cuda".
+        device: Device that training begins on, "cpu" or "cuda".
     """
 
     photos: Photos
@@ -63,8 +65,10 @@ def run_train(command: Train) -> None:
     """Train a scene: check, read photographs, train, measure, write, print the result."""
     require("gsvis train", "torch")
     config = _check_arguments(command)
+    device = choose_device(command.device)
     with Status() as status:
-        plan = _plan(command, config, status)
+        say_device(device, status)
+        plan = _plan(command, config, device, status)
         document = _train(command, plan, status)
         stages = {name: seconds for name, seconds in status.seconds.items() if name != "kernels"}
         document["timing"] = {"seconds": stages, **document.pop("timing")}
@@ -135,14 +139,12 @@ def _config(command: Train) -> TrainConfig:
     )
 
 
-def _plan(command: Train, config: TrainConfig, status: Status) -> _Plan:
+def _plan(command: Train, config: TrainConfig, device: Device, status: Status) -> _Plan:
     """Read the photographs and return a plan, before the first step."""
-    from gsvis.render.cuda import choose_backend
     from gsvis.train.initial import gaussians_from_points, random_points
     from gsvis.train.photos import load_photos
     from gsvis.train.trainer import Trainer
 
-    device = choose_backend(command.backend)
     photos = load_photos(
         command.source,
         images=command.photos.images,
@@ -162,21 +164,23 @@ def _plan(command: Train, config: TrainConfig, status: Status) -> _Plan:
         count = command.training.random_points or _RANDOM_POINTS
         points = random_points(views.cameras, count, np.random.default_rng([command.training.seed, 1]))
         text = f"{count:,} random points"
-    trainer = Trainer(views, gaussians_from_points(points), config, held_out=held_out, device=device)
+    config = replace(config, backend=device.backend)
+    trainer = Trainer(views, gaussians_from_points(points), config, held_out=held_out)
     checkpoint = checkpoint_of(command)
     if command.restart:
         checkpoint.unlink(missing_ok=True)
-    return _Plan(photos, views, held_out, trainer, text, checkpoint, device)
+    return _Plan(photos, views, held_out, trainer, text, checkpoint, device.name)
 
 
 def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
     """Train, measure and write the scene; return the JSON record."""
     from gsvis.io import save_scene
+    from gsvis.train.config import decisive_options
     from gsvis.train.likeness import measure_views
 
     trainer = plan.trainer
     begun: list[int] = []
-    warm_training(trainer.config, plan.device, status)
+    warm_training(trainer.config, status)
     name = plan.checkpoint.name
     with (
         resumable(f"what was trained is kept in {name}", has=plan.checkpoint.exists),
@@ -189,7 +193,7 @@ def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
         )
     measured = plan.train[::_SEEN_EVERY] if plan.held_out is None else plan.held_out
     with resumable(f"training is done and kept in {name}", "the same command writes the scene"):
-        quality = measure_views(result.gaussians, measured, device=plan.device, progress=status)
+        quality = measure_views(result.gaussians, measured, backend=trainer.backend, progress=status)
         with status.stage("writing"):
             save_scene(result.gaussians, command.out)
     cameras = plan.photos.views.cameras
@@ -207,7 +211,7 @@ def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
         "photographs": {"all": len(plan.photos.views), "trained_on": len(plan.train)},
         "start": plan.start,
         "device": plan.device,
-        "config": asdict(trainer.config),
+        "config": decisive_options(trainer.config),
         "curve": [record.as_json() for record in result.history],
         "quality": {"of": "trained on" if plan.held_out is None else "held out", **quality.as_dict()},
         "remarks": list(plan.photos.remarks),

@@ -19,6 +19,7 @@ from gsvis import _check
 from gsvis.color.fit import FitConfig, SrbfFit, fit_srbf
 from gsvis.jobs.resume import KeptWork
 from gsvis.progress import Progress, silent
+from gsvis.render.rasterizer import BACKENDS
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash, space_hash
 from gsvis.scene.gaussians import Gaussians
@@ -56,6 +57,7 @@ class ColorConfig:
             depend on it.
         record_psnr: PSNR in dB that images of rounded records keep against exact ones; they are rounded as coarsely as
             that allows, see `choose_limits`. None keeps all bits. The fit does not depend on it.
+        backend: Backend that draws while colors are learned: "cuda" on a GPU. The fit does not depend on it.
 
     Raises:
         ValueError: If a value is out of range.
@@ -67,12 +69,14 @@ class ColorConfig:
     directions: str = "weighed"
     precision: str = "wire"
     record_psnr: float | None = None
+    backend: str = "auto"
 
     def __post_init__(self) -> None:
         if self.record_psnr is not None and not 0.0 < self.record_psnr <= 100.0:
             raise ValueError(f"record_psnr: expected dB in (0, 100] or None, got {self.record_psnr!r}")
         _check.one_of("directions", self.directions, DIRECTIONS)
         _check.one_of("precision", self.precision, ("wire", "coarse"))
+        _check.one_of("backend", self.backend, BACKENDS)
         if self.rays_per_face not in (0, 1, 4, 16, 64):
             raise ValueError(f"rays_per_face: expected 0, 1, 4, 16 or 64, got {self.rays_per_face!r}")
         if self.rays_per_face == 0 and self.views.count == 0:

@@ -14,6 +14,7 @@ from gsvis.prepare.colors import ColorConfig
 from gsvis.pvs.cells import MAX_CELLS
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.view_sampling import ViewSampling
+from gsvis.train.config import decisive_options
 from gsvis.train.levels import LevelsConfig
 
 __all__ = ["PrepareConfig"]
@@ -96,8 +97,14 @@ class PrepareConfig:
         return "the default: FLIP as observer on two scenes" if self.epsilon == DEFAULT_EPSILON else "given"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the options as plain numbers, strings and lists for JSON, with the source of epsilon."""
+        """Return the options as plain numbers, strings and lists for JSON, with the source of epsilon.
+
+        Backends are left out or "auto": the device decides only how results are rounded.
+        """
         found = {**asdict(self), "epsilon_from": self.epsilon_from}
+        del found["colors"]["backend"]
+        if self.levels is not None:
+            found["levels"] = decisive_options(self.levels)
         fit = found["colors"]["fit"]
         if not np.isfinite(fit["width_loss"]):  # JSON has no infinity
             fit["width_loss"] = None

@@ -208,6 +208,7 @@ def learn_lesson(
     to_records: Callable[[SrbfColors], SrbfColors],
     *,
     shown: NDArray[np.bool_] | None = None,
+    backend: str = "auto",
     progress: Progress = silent,
 ) -> tuple[SrbfColors, Learned]:
     """Learn colors from images, and measure them before and after.
@@ -218,6 +219,7 @@ def learn_lesson(
         lesson: The images, and how to learn.
         to_records: Function that rounds colors as records hold them.
         shown: (N,) bool, the Gaussians of the highest of several levels; None means all.
+        backend: Backend that draws while colors are learned, see `learn_colors`; the CPU measures.
         progress: Called with stages "learn" and "measure".
 
     Returns:
@@ -228,7 +230,7 @@ def learn_lesson(
     from gsvis.train.colors import learn_colors
 
     whole = np.ones(len(g), bool) if shown is None else shown
-    learned = learn_colors(g, colors, lesson.views, lesson.config, shown=shown, progress=progress)
+    learned = learn_colors(g, colors, lesson.views, lesson.config, shown=shown, backend=backend, progress=progress)
     about = Learned(lesson.named, len(lesson.views), asdict(lesson.config))
     if lesson.held_out is None:
         return learned, about

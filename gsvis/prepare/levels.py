@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.judged import Judged
 from gsvis.scene.levels import Levels
 from gsvis.scene.view_sampling import ViewSampling
+from gsvis.train.config import decisive_options
 from gsvis.train.history import Record
 from gsvis.train.level_quality import LevelQuality, judge_levels, measure_levels
 from gsvis.train.level_views import LevelViews
@@ -101,7 +102,7 @@ class MadeLevels:
                 "width": cameras.width,
                 "height": cameras.height,
             },
-            "config": asdict(config),
+            "config": decisive_options(config),
             "levels": rows,
         }
 
@@ -183,11 +184,14 @@ def judge(levels: Levels, views: LevelViews, seed: int, progress: Progress = sil
 
 
 def find_levels_work(out: str | os.PathLike[str], g: Gaussians, views: LevelViews, config: LevelsConfig) -> Path:
-    """Return the hidden work folder of a run, beside its result; it depends on scene, views and settings."""
+    """Return the hidden work folder of a run, beside its result; it depends on scene, views and settings.
+
+    It does not depend on the device, since views are drawn on the CPU whatever trains on them.
+    """
     digest = hashlib.sha256()
     for array in (views.views.images, views.views.cameras.viewmats, views.views.cameras.Ks):
         digest.update(np.ascontiguousarray(array).data)
-    return folder_beside(out, [scene_hash(g), asdict(config), digest.hexdigest()], hidden=True)
+    return folder_beside(out, [scene_hash(g), decisive_options(config), digest.hexdigest()], hidden=True)
 
 
 def _spread(values: NDArray[np.float64]) -> dict[str, float]:

@@ -55,6 +55,7 @@ class RecordLesson:
         packed: Colors of the union after rounding to tables.
         views: Images of the highest level with exact colors.
         config: How to learn.
+        backend: Backend that draws while colors are learned, see `learn_colors`.
     """
 
     levels: Levels
@@ -62,6 +63,7 @@ class RecordLesson:
     packed: QuantizedColors
     views: PosedImages
     config: LearnConfig
+    backend: str = "auto"
 
     @classmethod
     def draw(
@@ -113,7 +115,15 @@ class RecordLesson:
         contents = rounded_contents(self.levels, self.packed, limits)
         begun = replace(contents.colors().dequantize(), base=self.exact.base)
         shown = self.levels.member(len(self.levels) - 1)
-        learned = learn_colors(contents.gaussians(), begun, self.views, self.config, shown=shown, progress=progress)
+        learned = learn_colors(
+            contents.gaussians(),
+            begun,
+            self.views,
+            self.config,
+            shown=shown,
+            backend=self.backend,
+            progress=progress,
+        )
         grids = self.packed.grids
         return quantize(_clip(learned, grids), grids=grids)
 

@@ -112,7 +112,15 @@ def color_scene(
         shown = scene.member(len(scene) - 1) if isinstance(scene, Levels) else None
         learned: Learned | None = None
         if lesson is not None:
-            found, learned = _learn(union_of(scene), found, lesson, outputs.precision, shown, progress)
+            found, learned = _learn(
+                union_of(scene),
+                found,
+                lesson,
+                precision=outputs.precision,
+                shown=shown,
+                backend=config.backend,
+                progress=progress,
+            )
         progress("records", 0, 1)
         colors = round_colors(found.fit.colors, outputs.precision)
         progress("records", 1, 1)
@@ -135,8 +143,10 @@ def _learn(
     g: Gaussians,
     found: ColorPreparation,
     lesson: Lesson,
+    *,
     precision: str,
     shown: NDArray[np.bool_] | None,
+    backend: str,
     progress: Progress,
 ) -> tuple[ColorPreparation, Learned]:
     """Return a preparation with learned colors, and what was gained."""
@@ -145,7 +155,9 @@ def _learn(
         """Round colors as the file does."""
         return round_colors(colors, precision)
 
-    colors, learned = learn_lesson(g, found.fit.colors, lesson, to_records, shown=shown, progress=progress)
+    colors, learned = learn_lesson(
+        g, found.fit.colors, lesson, to_records, shown=shown, backend=backend, progress=progress
+    )
     return replace(found, fit=replace(found.fit, colors=colors)), learned
 
 

@@ -53,6 +53,7 @@ def name_colors(stages: Stages, levels: Levels, store: VisibilityStore) -> str:
     space = stages.space_hash if seen or learned else None
     config = asdict(stages.config.colors)
     del config["record_psnr"]  # which colors do not depend on
+    del config["backend"]  # colors of any device are the same stage
     key = stages.key("colors", levels=hash_levels(levels), seen=seen, space=space, config=config, **learned)
     return f"colors-{key}.arrow"
 
@@ -119,4 +120,7 @@ def _learn(stages: Stages, levels: Levels, colors: SrbfColors) -> tuple[SrbfColo
         return round_colors(stages, exact).dequantize()
 
     shown = levels.member(len(levels) - 1)
-    return learn_lesson(levels.union, colors, lesson, to_records, shown=shown, progress=stages.progress)
+    backend = stages.config.colors.backend
+    return learn_lesson(
+        levels.union, colors, lesson, to_records, shown=shown, backend=backend, progress=stages.progress
+    )

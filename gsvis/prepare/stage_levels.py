@@ -16,13 +16,14 @@ from gsvis.prepare.levels import make_levels
 from gsvis.prepare.stages import Stages
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
+from gsvis.train.config import decisive_options
 from gsvis.train.level_views import LevelViews, draw_views, load_photograph_views
 
 __all__ = ["name_levels", "reuse_levels", "run_levels"]
 
 
 def name_levels(stages: Stages) -> str:
-    """Return the name of the folder of the levels."""
+    """Return the name of the folder of the levels; levels of any device are the same stage."""
     assert isinstance(stages.scene, Gaussians)
     config = stages.config
     if stages.photos is None:
@@ -33,7 +34,7 @@ def name_levels(stages: Stages) -> str:
         }
     else:
         views = {"photographs": stages.photos_hash, "size": config.level_size}
-    training = None if config.levels is None else asdict(config.levels)
+    training = None if config.levels is None else decisive_options(config.levels)
     return "levels-" + stages.key("levels", scene=stages.scene_hash, training=training, views=views)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +96,7 @@ def _round(stages: Stages, levels: Levels, exact: SrbfColors, packed: QuantizedC
     lesson = None
     if learns_rounded(stages):
         lesson = RecordLesson.draw(levels, exact, packed, stages.space, stages.photos)
+        lesson = replace(lesson, backend=stages.config.colors.backend)
     return choose_limits(levels, exact, packed, cameras, wanted, lesson=lesson, progress=stages.progress)
 
 

@@ -203,9 +203,10 @@ class StageTrial:
         config = LearnConfig() if photos else LearnConfig.for_renders()
         colors = self._fitted[0].colors
         many = colors[np.arange(len(self._scene)) % len(colors)]
-        learn_colors(self._scene, many, tried, replace(config, steps=1))
+        learn = partial(learn_colors, self._scene, many, tried, backend=self._config.colors.backend)
+        learn(replace(config, steps=1))
         start = self._clock()
-        learn_colors(self._scene, many, tried, replace(config, steps=_VIEWS))
+        learn(replace(config, steps=_VIEWS))
         each = (self._clock() - start) / _VIEWS
         return start - began + each * steps
 

@@ -52,7 +52,7 @@ def _one_and_camera() -> tuple[Gaussians, Cameras]:
     return one, Cameras.look_at([[4.0, 0.0, 0.0]], (0.0, 0.0, 0.0), width=1, height=1)
 
 
-def warm_training(config: TrainConfig, device: str, progress: Progress) -> None:
+def warm_training(config: TrainConfig, progress: Progress) -> None:
     """Load or compile the kernels that train a scene on photographs."""
     from gsvis.scene.points import PointCloud
     from gsvis.train.images import PosedImages
@@ -63,7 +63,7 @@ def warm_training(config: TrainConfig, device: str, progress: Progress) -> None:
     around = Cameras.orbit((0.0, 0.0, 0.0), 4.0, 2, width=16, height=16)
     views = PosedImages(around, np.zeros((2, 16, 16, 3), np.uint8))
     brief = replace(config, iterations=1, densify=None, evaluate_every=0)
-    Trainer(views, gaussians_from_points(PointCloud(np.eye(3))), brief, held_out=views[:1], device=device).run()
+    Trainer(views, gaussians_from_points(PointCloud(np.eye(3))), brief, held_out=views[:1]).run()
     progress("kernels", 1, 1)
 
 

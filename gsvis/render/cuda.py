@@ -1,4 +1,4 @@
-"""The CUDA rasterizer: calls gsplat, if it is installed and there is a GPU.
+"""The CUDA rasterizer: calls gsplat. `gsvis.render.device` says whether it can.
 
 gsplat's classic conventions are those of gsvis (docs/conventions.md). gsplat has no median depth.
 """
@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis._extras import has, remedy_of
-from gsvis.errors import BackendError
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.lengths import length_factor
 
 if TYPE_CHECKING:
@@ -20,38 +19,7 @@ if TYPE_CHECKING:
 
     from gsvis.render.tensors import GaussianTensors
 
-__all__ = ["choose_backend", "is_available", "rasterize_cuda"]
-
-
-def is_available() -> str:
-    """Return why the backend cannot run here, with what to install; empty if it can."""
-    try:
-        import torch
-    except ImportError:
-        return f"backend 'cuda': expected the package torch, got none; {remedy_of('torch')}"
-    if not torch.cuda.is_available():
-        return "backend 'cuda': expected a CUDA GPU and a torch build for it, got neither; use backend='cpu'"
-    try:
-        import gsplat  # noqa: F401
-    except ImportError as error:
-        return f"backend 'cuda': expected an importable gsplat, got '{error}'; {remedy_of('gsplat')}"
-    return ""
-
-
-def choose_backend(asked: str) -> str:
-    """Return the backend to use: the one asked for; for "auto", "cuda" if it can run here, else "cpu".
-
-    Raises:
-        BackendError: If "cuda" is asked for and cannot run here.
-    """
-    if asked not in ("auto", "cuda"):
-        return asked
-    if asked == "auto" and not has("gsplat"):  # `is_available` imports torch, which takes longer than a small render
-        return "cpu"
-    missing = is_available()
-    if asked == "cuda" and missing:
-        raise BackendError(missing)
-    return "cpu" if missing else "cuda"
+__all__ = ["draw_one", "rasterize_cuda"]
 
 
 def rasterize_cuda(
@@ -104,6 +72,26 @@ def rasterize_cuda(
     image = images[0, ..., :3]
     alpha = alphas[0, ..., 0]
     return image, alpha, images[0, ..., 3], torch.full_like(alpha, float("nan"))
+
+
+def draw_one() -> None:
+    """Draw one Gaussian on the GPU; raise what gsplat raises if it cannot, such as `RuntimeError`."""
+    import torch
+
+    from gsvis.render.tensors import GaussianTensors
+
+    one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
+    camera = Cameras.look_at([[4.0, 0.0, 0.0]], (0.0, 0.0, 0.0), width=16, height=16)
+    rasterize_cuda(
+        GaussianTensors.from_gaussians(one, device="cuda"),
+        camera,
+        background=np.zeros(3, np.float32),
+        sh_degree=0,
+        antialiased=False,
+        colors=None,
+        probe=torch.zeros(1, 2, device="cuda"),
+    )
+    torch.cuda.synchronize()  # an error of a kernel is raised here
 
 
 def _forward_gradient(means2d: Tensor, probe: Tensor) -> None:

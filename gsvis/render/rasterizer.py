@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.errors import BackendError
 from gsvis.render.colors import Colors, camera_colors
-from gsvis.render.cuda import is_available
+from gsvis.render.device import why_no_cuda
 from gsvis.render.reference import draw_reference
 from gsvis.render.splats import View, draw
 from gsvis.scene.cameras import Cameras
@@ -141,7 +141,7 @@ def rasterize(
         draw_one: _Draw = draw_reference if backend == "reference" else draw
         draw_one = partial(draw_one, background=behind, sh_degree=degree, antialiased=antialiased)
         return _draw_arrays(gaussians, cameras, colors, draw_one)
-    if backend == "cuda" and (reason := is_available()):
+    if backend == "cuda" and (reason := why_no_cuda()):
         raise BackendError(reason)
     from gsvis.render.rasterizer_torch import rasterize_tensors
     from gsvis.render.tensors import GaussianTensors

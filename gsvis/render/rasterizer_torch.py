@@ -20,7 +20,8 @@ from gsvis.errors import BackendError
 from gsvis.render.colors import Colors
 from gsvis.render.colors_torch import TensorColors, camera_colors_torch
 from gsvis.render.cpu import rasterize_cpu
-from gsvis.render.cuda import is_available, rasterize_cuda
+from gsvis.render.cuda import rasterize_cuda
+from gsvis.render.device import why_no_cuda
 from gsvis.render.reference_torch import blend_reference, project_reference
 from gsvis.render.splats import View
 from gsvis.render.tensors import GaussianTensors
@@ -169,7 +170,7 @@ def _draw_cuda(
     probe: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Render one camera with gsplat."""
-    reason = is_available()
+    reason = why_no_cuda()
     if reason:
         raise BackendError(reason)
     return rasterize_cuda(

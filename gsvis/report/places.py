@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from PIL.PngImagePlugin import PngInfo
 
-from gsvis.render import rasterize
+from gsvis.render.device_scene import DeviceScene
 from gsvis.report.marks import ALL, COLORS, GIVEN, INK, MUTED, PAPER, Color, Marks, blend, font, picture
 from gsvis.report.plan import Plan
 from gsvis.scene.cameras import Cameras
@@ -79,13 +79,15 @@ class Places:
     walk: F64 = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-def draw_places(g: Gaussians, places: Places) -> bytes:
-    """Return the picture as PNG bytes; the same scene gives the same bytes.
+def draw_places(g: Gaussians, places: Places, *, backend: str = "auto") -> bytes:
+    """Return the picture as PNG bytes; the same scene gives the same bytes on the CPU.
 
     Args:
         g: The scene, N > 0.
         places: What is known of where people stand.
+        backend: Backend that draws the first views, see `DeviceScene`; the CPU draws the plan.
     """
+    scene = DeviceScene(g, backend)
     shown = places.readings[:READINGS]
     text = [line for each in places.lines for line in textwrap.wrap(each, 150)]
     top = _EDGE + 40 + 20 * len(text) + 8
@@ -99,7 +101,7 @@ def draw_places(g: Gaussians, places: Places) -> bytes:
         pen.text((_EDGE, _EDGE + 34 + 20 * row), line, MUTED, font(15))
     for k, reading in enumerate(shown):
         at = top + k * (view_height + 40)
-        sheet.paste(_draw_view(g, reading.view, view_height), (_EDGE, at))
+        sheet.paste(_draw_view(scene, reading.view, view_height), (_EDGE, at))
         number = f"{k + 1}. " if len(shown) > 1 else ""
         pen.text((_EDGE, at + view_height + 6), f"{number}First view: {reading.title}", COLORS[k], font(16))
     left = _WIDTH - _EDGE - _PLAN
@@ -116,7 +118,7 @@ def draw_places(g: Gaussians, places: Places) -> bytes:
     return out.getvalue()
 
 
-def _draw_view(g: Gaussians, view: Cameras | None, height: int) -> Image.Image:
+def _draw_view(scene: DeviceScene, view: Cameras | None, height: int) -> Image.Image:
     """Return the picture of a camera at the size of a view; a gray one with a line without a camera."""
     if view is None:
         blank = Image.new("RGB", (_VIEW, height), (226, 230, 236))
@@ -125,7 +127,7 @@ def _draw_view(g: Gaussians, view: Cameras | None, height: int) -> Image.Image:
     focal = 0.5 * _VIEW / np.tan(np.radians(_FOV) / 2.0)
     ks = np.array([[[focal, 0.0, _VIEW / 2.0], [0.0, focal, height / 2.0], [0.0, 0.0, 1.0]]])
     camera = Cameras(view.viewmats[:1], ks, _VIEW, height)
-    return picture(rasterize(g, camera, backend="cpu", background=_VOID).images[0])
+    return picture(scene.draw(camera, background=_VOID).images[0])
 
 
 def _draw_plan(g: Gaussians, places: Places) -> tuple[Image.Image, Legend]:

@@ -28,13 +28,14 @@ _PICTURED = 1_000_000  # Gaussians that pictures show, at most
 _RESOLUTION = 96  # voxels along the longest side, for the eyes of a reading
 
 
-def picture_of(source: Source, place: Place, title: str = "") -> bytes:
+def picture_of(source: Source, place: Place, title: str = "", *, backend: str = "auto") -> bytes:
     """Return the picture as PNG bytes: a few seconds for any scene, since large ones are thinned.
 
     Args:
         source: The scene.
         place: Where eyes may be; it has a space.
         title: Title; the name of the scene by default.
+        backend: Backend that draws the first views, see `DeviceScene`.
     """
     assert place.space is not None
     some = source.thin().gaussians
@@ -59,7 +60,7 @@ def picture_of(source: Source, place: Place, title: str = "") -> bytes:
         cameras=none if place.cameras is None else place.cameras.viewpoints,
         walk=none if place.path is None else place.path.positions,
     )
-    return draw_places(source.thin(_PICTURED).gaussians, shown)
+    return draw_places(source.thin(_PICTURED).gaussians, shown, backend=backend)
 
 
 def _lines(place: Place) -> list[str]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.files.archive import load_arrays, save_arrays
 from gsvis.files.fields import parse_object
+from gsvis.train.config import decisive_options
 from gsvis.train.history import Record
 from gsvis.train.parameters import NAMES
 
@@ -34,8 +35,8 @@ _AGAIN = "delete it to train from the beginning"
 
 
 def run_key(trainer: Trainer) -> str:
-    """Return a hash of a run: its configuration, its images and cameras, and its initial Gaussians."""
-    digest = hashlib.sha256(json.dumps(asdict(trainer.config), sort_keys=True).encode())
+    """Return a hash of a run: its configuration, its images and cameras, and its initial Gaussians; on any device."""
+    digest = hashlib.sha256(json.dumps(decisive_options(trainer.config), sort_keys=True).encode())
     views = trainer.views
     for array in (views.images, views.cameras.viewmats, views.cameras.Ks):
         digest.update(str((array.shape, array.dtype)).encode())

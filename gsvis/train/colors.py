@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -22,6 +23,9 @@ from gsvis.color.learning import LearnedValues, RowsOfView, SeenColors, see_rgb
 from gsvis.color.sh import seen_sh_colors
 from gsvis.color.srbf import MAX_DECAY, SrbfColors, spherical_coordinates, unit_vectors
 from gsvis.progress import Progress, silent
+from gsvis.render.device import OnDevice
+from gsvis.render.device_scene import DeviceScene
+from gsvis.render.device_torch import DeviceView
 from gsvis.render.fixed_view import FixedView
 from gsvis.render.rasterizer import rasterize
 from gsvis.render.tensors import GaussianTensors
@@ -111,11 +115,13 @@ def learn_colors(
     config: LearnConfig | None = None,
     *,
     shown: NDArray[np.bool_] | None = None,
+    backend: str = "auto",
     progress: Progress = silent,
 ) -> SrbfColors:
     """Return SRBF colors that show given images better. Geometry and number of terms stay the same.
 
-    Gaussians that no view shows keep their colors.
+    Gaussians that no view shows keep their colors. A device draws views and finds gradients; the CPU evaluates colors
+    and takes steps, and also draws from where the memory of the device runs out.
 
     Args:
         g: N Gaussians.
@@ -124,6 +130,7 @@ def learn_colors(
             are the images. That needs `config.squared`, and no image is kept.
         config: Options; None means `LearnConfig()`.
         shown: (N,) bool, the Gaussians to draw, such as those of the highest of several levels; None means all.
+        backend: Backend that draws, see `DeviceScene`.
         progress: Called with every step; stage "learn".
 
     Raises:
@@ -141,16 +148,27 @@ def learn_colors(
     cameras = views if isinstance(views, Cameras) else views.cameras
     student = _Student(g, colors, config)
     drawn = g.without_harmonics()[ids]
-    progress("learn", 0, config.steps)
-    for step in range(config.steps):
-        index = view_of_step(step, len(views), config.seed)
-        seen = FixedView(drawn, cameras[index])
+    there = DeviceScene(drawn, backend)
+    work = OnDevice("colors are learned", there.on_device)
+
+    def descend(index: int, seen: FixedView | DeviceView) -> tuple[SeenColors, NDArray[np.float32]]:
+        """Return the colors that a view shows, and the gradient by them."""
         where = ids[seen.ids]
         found = student.see(where, seen.eye)
         if isinstance(views, Cameras):
-            by_colors = _by_own_image(seen, found.colors, seen_sh_colors(g, where, seen.eye))
-        else:
-            by_colors = _by_image(seen, found.colors, views.image(index), config)
+            return found, _by_own_image(seen, found.colors, seen_sh_colors(g, where, seen.eye))
+        return found, _by_image(seen, found.colors, views.image(index), config)
+
+    def descend_there(index: int) -> tuple[SeenColors, NDArray[np.float32]]:
+        return descend(index, DeviceView(there.tensors, cameras[index], backend, antialiased=g.facts.antialiased))
+
+    def descend_here(index: int) -> tuple[SeenColors, NDArray[np.float32]]:
+        return descend(index, FixedView(drawn, cameras[index]))
+
+    progress("learn", 0, config.steps)
+    for step in range(config.steps):
+        index = view_of_step(step, len(views), config.seed)
+        found, by_colors = work.run(partial(descend_there, index), partial(descend_here, index))
         student.step(found, by_colors)
         progress("learn", step + 1, config.steps)
     return student.finish()
@@ -162,7 +180,9 @@ def view_of_step(step: int, count: int, seed: int) -> int:
     return int(np.random.default_rng([seed, turn]).permutation(count)[place])
 
 
-def _by_own_image(seen: FixedView, found: NDArray[np.float32], wanted: NDArray[np.float32]) -> NDArray[np.float32]:
+def _by_own_image(
+    seen: FixedView | DeviceView, found: NDArray[np.float32], wanted: NDArray[np.float32]
+) -> NDArray[np.float32]:
     """Return the gradient (M, 3) of the mean squared difference of two images, by the colors of the first.
 
     An image is linear in the colors, so that the difference of colors shows the difference of images.
@@ -172,7 +192,7 @@ def _by_own_image(seen: FixedView, found: NDArray[np.float32], wanted: NDArray[n
 
 
 def _by_image(
-    seen: FixedView, found: NDArray[np.float32], target: NDArray[np.float32], config: LearnConfig
+    seen: FixedView | DeviceView, found: NDArray[np.float32], target: NDArray[np.float32], config: LearnConfig
 ) -> NDArray[np.float32]:
     """Return the gradient (M, 3) of the loss of a drawn view against an image, by its colors."""
     image = torch.from_numpy(seen.image(found)).requires_grad_()

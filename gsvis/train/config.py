@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 from gsvis import _check
 
-__all__ = ["DensifyConfig", "TrainConfig"]
+__all__ = ["DensifyConfig", "TrainConfig", "decisive_options"]
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class TrainConfig:
         densify: Rules for adding and removing Gaussians; None for no changes.
         evaluate_every: Steps between measurements on held-out views; 0 measures only at the end.
         seed: Seed of the order of views and of the positions of split Gaussians.
-        backend: Backend of the rasterizer.
+        backend: Backend of the rasterizer, which also says where training runs: "cuda" on a GPU.
     """
 
     iterations: int = 7_000
@@ -107,3 +108,19 @@ class TrainConfig:
                 raise ValueError(f"{name}: expected a finite number > 0, got {getattr(self, name)}")
         if not 0.0 < self.rates_end <= 1.0:
             raise ValueError(f"rates_end: expected a factor in (0, 1], got {self.rates_end}")
+
+
+def decisive_options(config: Any) -> dict[str, Any]:
+    """Return the options that decide a result, as plain values for keys and records: the backend is always "auto".
+
+    Results of two devices differ by rounding, and a result of either is what was asked for. So what one has finished
+    the other resumes.
+
+    Args:
+        config: A dataclass with a field `backend`, such as `TrainConfig`.
+
+    Examples:
+        >>> decisive_options(TrainConfig(backend="cuda")) == decisive_options(TrainConfig())
+        True
+    """
+    return {**asdict(config), "backend": "auto"}

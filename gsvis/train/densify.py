@@ -52,9 +52,22 @@ class Densifier:
 
     def observe(self, gradient: Tensor, width: int, height: int) -> None:
         """Add the gradient (N, 2) of one view's loss by projected centers in pixels."""
+        self.add(self.lengths(gradient, width, height))
+
+    def lengths(self, gradient: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+        """Return what `add` takes: lengths (N,) in half image sizes of a gradient (N, 2), and 1 for each above 0."""
         length = torch.hypot(gradient[:, 0] * (0.5 * width), gradient[:, 1] * (0.5 * height))
-        self.total += length
-        self.seen += length > 0
+        return length, (length > 0).to(length)
+
+    def add(self, lengths: tuple[Tensor, Tensor]) -> None:
+        """Add the lengths of one view's gradient; needs no memory."""
+        self.total += lengths[0]
+        self.seen += lengths[1]
+
+    def move(self, device: str) -> None:
+        """Move the sums to a device."""
+        self.total = self.total.to(device)
+        self.seen = self.seen.to(device)
 
     def refine(self, step: int, generator: torch.Generator) -> tuple[int, int]:
         """Change the Gaussians if this step requires it.

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.progress import Progress, silent
+from gsvis.render.device_scene import DeviceScene
 from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -96,13 +97,14 @@ def render_views(
         gaussians: The scene.
         cameras: C cameras.
         background: (3,) RGB behind everything.
-        backend: Backend of the rasterizer.
+        backend: Backend that renders, see `DeviceScene`.
         progress: Called with stage "views"; counts cameras.
     """
+    scene = DeviceScene(gaussians, backend)
     images = np.empty((len(cameras), cameras.height, cameras.width, 3), np.float32)
     progress("views", 0, len(cameras))
     for c in range(len(cameras)):
-        images[c] = rasterize(gaussians, cameras[c], backend=backend, background=background).images[0]
+        images[c] = scene.draw(cameras[c], background=background).images[0]
         progress("views", c + 1, len(cameras))
     return PosedImages(cameras, images)
 

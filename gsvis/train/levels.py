@@ -82,7 +82,8 @@ class LevelsConfig:
             `choose_subsets`, None for as many as suit the steps (`looks_to_choose`).
         evaluate_every: Steps between measurements on held-out views; 0 measures only at the end.
         seed: Seed of training.
-        backend: Backend of the rasterizer.
+        backend: Backend of the rasterizer, which also says where levels are trained: "cuda" on a GPU. What stays in
+            them is chosen on the CPU.
         preview: Number of merged Gaussians of the first picture, as a share of the scene's, in [0, `PREVIEW`]; 0 for
             none. It is the lowest level, with the name "preview".
         preview_from: Least number of Gaussians of a scene with a first picture; see `fit_to`.

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.progress import Progress, silent
+from gsvis.render.device_scene import DeviceScene
 from gsvis.render.metrics import psnr, ssim
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.history import MOST_PSNR
-from gsvis.train.images import PosedImages, display_image
-
-if TYPE_CHECKING:
-    from gsvis.render.tensors import GaussianTensors
+from gsvis.train.images import PosedImages
 
 __all__ = ["ViewLikeness", "mean_psnr", "measure_views"]
 
@@ -48,14 +47,14 @@ class ViewLikeness:
 
 
 def measure_views(
-    gaussians: Gaussians, views: PosedImages, *, device: str = "cpu", progress: Progress = silent
+    gaussians: Gaussians, views: PosedImages, *, backend: str = "auto", progress: Progress = silent
 ) -> ViewLikeness:
     """Render a scene with the cameras of some images, and compare.
 
     Args:
         gaussians: The scene.
         views: C images and cameras, C >= 1.
-        device: Device to render on, such as "cuda".
+        backend: Backend that renders, see `DeviceScene`.
         progress: Called for every view; stage "measure".
 
     Raises:
@@ -63,15 +62,11 @@ def measure_views(
     """
     if len(views) == 0:
         raise ValueError("views: expected at least one to compare with, got none")
-    scene: Any = gaussians
-    if device != "cpu":
-        from gsvis.render.tensors import GaussianTensors
-
-        scene = GaussianTensors.from_gaussians(gaussians, device=device)
+    scene = DeviceScene(gaussians, backend)
     found = np.empty((2, len(views)))
     progress("measure", 0, len(views))
     for index in range(len(views)):
-        drawn = display_image(scene, views.cameras[index])
+        drawn = _display(scene, views.cameras[index])
         target = np.clip(views.image(index), 0.0, 1.0)
         found[:, index] = min(float(psnr(drawn, target)), MOST_PSNR), float(ssim(drawn, target))
         progress("measure", index + 1, len(views))
@@ -79,19 +74,22 @@ def measure_views(
 
 
 def mean_psnr(
-    gaussians: Gaussians | GaussianTensors,
-    views: PosedImages,
-    backend: str = "auto",
-    antialiased: bool | None = None,
+    gaussians: Gaussians, views: PosedImages, backend: str = "auto", antialiased: bool | None = None
 ) -> float:
     """Return the mean PSNR over views in dB, of images clipped to [0, 1] as on a display.
 
     Args:
         gaussians: The scene.
         views: The views.
-        backend: Backend of the rasterizer.
+        backend: Backend that renders, see `DeviceScene`.
         antialiased: As for `rasterize`.
     """
-    drawn = (display_image(gaussians, views.cameras[index], backend, antialiased) for index in range(len(views)))
+    scene = DeviceScene(gaussians, backend)
+    drawn = (_display(scene, views.cameras[index], antialiased) for index in range(len(views)))
     targets = (np.clip(views.image(index), 0.0, 1.0) for index in range(len(views)))
     return float(np.mean([psnr(image, target) for image, target in zip(drawn, targets, strict=True)]))
+
+
+def _display(scene: DeviceScene, camera: Cameras, antialiased: bool | None = None) -> NDArray[np.float32]:
+    """Return the (H, W, 3) image of one camera as a display shows it: clipped to [0, 1]."""
+    return np.asarray(np.clip(scene.draw(camera, antialiased=antialiased).images[0], 0.0, 1.0), np.float32)

@@ -91,9 +91,13 @@ class Parameters:
         Args:
             rates: Learning rate of each name.
 
+        Raises:
+            torch.OutOfMemoryError: If the memory of a device does not suffice; nothing has changed then.
+
         References:
             Kingma and Ba, "Adam: a method for stochastic optimization", ICLR 2015, algorithm 1.
         """
+        scratch = self._scratch()
         self.steps += 1
         beta1, beta2 = _BETAS
         root = math.sqrt(1.0 - beta2**self.steps)
@@ -108,8 +112,33 @@ class Parameters:
                 gradient = gradient[self.frozen :]
                 first = self.first[name][self.frozen :]
                 second = self.second[name][self.frozen :]
-                step = _adam_cpu if value.device.type == "cpu" else adam_reference
-                step(value, gradient, first, second, rate, root)
+                if scratch is None:
+                    _adam_cpu(value, gradient, first, second, rate, root)
+                else:
+                    adam_reference(value, gradient, first, second, rate, root, scratch)
+
+    def _scratch(self) -> Tensor | None:
+        """Return room for a step on a device, so that no memory is needed once it has begun; None on the CPU."""
+        device = next(iter(self.values.values())).device
+        if device.type == "cpu":
+            return None
+        return torch.empty(max(value[self.frozen :].numel() for value in self.values.values()), device=device)
+
+    def forget_gradients(self) -> None:
+        """Drop the collected gradients."""
+        for value in self.values.values():
+            value.grad = None
+
+    def copy(self) -> Parameters:
+        """Return other parameters with the same tensors: edits of rows change only one of both."""
+        return Parameters(dict(self.values), dict(self.first), dict(self.second), self.frozen, self.steps)
+
+    def move(self, device: str) -> None:
+        """Move all values to a device; gradients are dropped."""
+        for store in (self.values, self.first, self.second):
+            store.update({name: each.detach().to(device) for name, each in store.items()})
+        for value in self.values.values():
+            value.requires_grad_()
 
     def keep(self, rows: Tensor) -> None:
         """Keep only the rows of a mask or an index, with their moments; it must begin with the frozen rows."""
@@ -158,9 +187,23 @@ def _adam_cpu(value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, ra
     adam_step(*flat, rate, *_BETAS, _EPS, root)
 
 
-def adam_reference(value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float, root: float) -> None:
-    """Take the same step in torch, on any device; the slow twin of the kernel."""
+def adam_reference(
+    value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float, root: float, scratch: Tensor
+) -> None:
+    """Take the same step in torch, on any device; the slow twin of the kernel.
+
+    Args:
+        value: Raw values, changed in place, as the moments are.
+        gradient: The gradient by them.
+        first: First moments.
+        second: Second moments.
+        rate: Learning rate, corrected for the first steps.
+        root: Correction of the root of second moments.
+        scratch: Room for at least as many numbers, which is overwritten.
+    """
     beta1, beta2 = _BETAS
     first.lerp_(gradient, 1.0 - beta1)
     second.mul_(beta2).addcmul_(gradient, gradient, value=1.0 - beta2)
-    value.addcdiv_(first, (second.sqrt() / root).add_(_EPS), value=-rate)
+    spread = scratch[: second.numel()].view(second.shape)
+    torch.sqrt(second, out=spread)
+    value.addcdiv_(first, spread.div_(root).add_(_EPS), value=-rate)

@@ -10,6 +10,7 @@ import logging
 import math
 import os
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,8 +20,8 @@ from numba import get_num_threads
 
 from gsvis import _check
 from gsvis.progress import Progress, silent
+from gsvis.render.device import OnDevice, torch_device_of
 from gsvis.render.rasterizer import rasterize
-from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash, sight_hash
 from gsvis.scene.gaussians import Gaussians
@@ -58,10 +59,12 @@ class TrainResult:
 class Trainer:
     """Train a scene.
 
+    On a device whose memory runs out, training goes on on the CPU from the same step; one line is logged.
+
     Args:
         views: Target images, with their cameras.
         start: Initial Gaussians.
-        config: How to train.
+        config: How to train, and on which device.
         frozen: Gaussians that are rendered but never changed; they come first in the result.
         held_out: Views to measure on.
         space: Voxels that stop light. In rooms, a step skips frozen Gaussians that its camera cannot see. Around plants
@@ -73,6 +76,7 @@ class Trainer:
         seconds: Time spent on steps.
         history: Evaluations so far.
         beginning: Hash of the initial Gaussians.
+        backend: The backend that takes the next step.
 
     Raises:
         ValueError: If there are no views, or nothing to train.
@@ -86,7 +90,6 @@ class Trainer:
         *,
         frozen: Gaussians | None = None,
         held_out: PosedImages | None = None,
-        device: str = "cpu",
         space: NavigableSpace | None = None,
     ) -> None:
         if len(views) == 0:
@@ -109,6 +112,8 @@ class Trainer:
             degree = max(degree, frozen.sh_degree)
             whole = Gaussians.concatenate([_set_degree(part, degree) for part in (frozen, start)])
         self._facts = whole.facts
+        self.backend = config.backend
+        device = torch_device_of(config.backend) or "cpu"
         self.parameters = Parameters.from_gaussians(whole, frozen=0 if frozen is None else len(frozen), device=device)
         rules = config.densify
         self.densifier = Densifier(rules, self.extent, self.parameters) if rules is not None else None
@@ -144,46 +149,97 @@ class Trainer:
 
     def advance(self) -> float:
         """Take one step; return its loss."""
-        c = self.config
         began = _clock()
-        if (
-            self.densifier is not None and self.step
-        ):  # at the start of a step, so that a run never ends right after a split
-            self.densifier.refine(self.step, torch.Generator().manual_seed(hash_of(c.seed, self.step)))
-        if c.sh_every and self.step % c.sh_every == 0:
-            self.parameters.raise_sh_degree(min(self.step // c.sh_every, c.sh_degree))
-        index = self.view_of(self.step)
-        camera = self.views.cameras[index]
-        near = self._frozen_in_sight(camera)
-        stand = self.parameters.frozen if near is None else len(near)
-        drawn = rasterize(
-            self.parameters.activate(near), camera, backend=c.backend, antialiased=self._facts.antialiased, frozen=stand
-        )
-        target = torch.from_numpy(self.views.image(index)).to(drawn.images)
-        loss = photometric_loss(drawn.images[0], target, c.ssim_weight)
-        loss.backward()  # type: ignore[no-untyped-call]
-        if self.densifier is not None and drawn.means2d.grad is not None:
-            by_center = drawn.means2d.grad[0]
-            if near is not None:
-                by_center = by_center.new_zeros((len(self.parameters), 2))
-                by_center[near] = drawn.means2d.grad[0, :stand]
-                by_center[self.parameters.frozen :] = drawn.means2d.grad[0, stand:]
-            self.densifier.observe(by_center, camera.width, camera.height)
-        self.parameters.adam_step(self.rates())
+        self._run(self._change)
+        value = self._run(self._descend)
         self.step += 1
-        value = float(loss.detach())
         share = max(1.0 / self.step, 0.01)
         self.loss = value if math.isnan(self.loss) else (1.0 - share) * self.loss + share * value
         self.seconds += _clock() - began
         return value
 
+    def _run(self, part: Callable[[], float]) -> float:
+        """Return the result of a part of a step, done on the CPU if the memory of the device runs out.
+
+        Args:
+            part: The part. Where it raises `torch.OutOfMemoryError`, it leaves the state as it was.
+        """
+        if torch_device_of(self.backend) is None:
+            return part()
+        found = OnDevice.attempt(part)
+        if found is not None:
+            return found
+        _LOG.warning("the memory of the GPU ran out at step %d; training goes on on the CPU", self.step)
+        self.backend = "cpu"
+        self.parameters.move("cpu")
+        if self.densifier is not None:
+            self.densifier.move("cpu")
+        return part()
+
+    def _change(self) -> float:
+        """Add and remove Gaussians and raise the degree of SH, if it is time; return the number of Gaussians.
+
+        This comes at the start of a step, so that a run never ends right after a split.
+        """
+        c = self.config
+        rules = self.densifier
+        p = self.parameters
+        held = p.copy() if torch_device_of(self.backend) else p  # on a device, what is replaced is held until the end
+        sums = None if rules is None else (rules.total, rules.seen)
+        try:
+            if rules is not None and self.step:
+                rules.refine(self.step, torch.Generator().manual_seed(hash_of(c.seed, self.step)))
+            if c.sh_every and self.step % c.sh_every == 0:
+                p.raise_sh_degree(min(self.step // c.sh_every, c.sh_degree))
+        except torch.OutOfMemoryError:
+            p.values = held.values
+            p.first = held.first
+            p.second = held.second
+            if rules is not None and sums is not None:
+                rules.total, rules.seen = sums
+            raise
+        return float(len(p))
+
+    def _descend(self) -> float:
+        """Draw a view and update the Gaussians along the gradient of its loss; return the loss."""
+        c = self.config
+        index = self.view_of(self.step)
+        camera = self.views.cameras[index]
+        near = self._frozen_in_sight(camera)
+        stand = self.parameters.frozen if near is None else len(near)
+        lengths = None
+        try:
+            drawn = rasterize(
+                self.parameters.activate(near),
+                camera,
+                backend=self.backend,
+                antialiased=self._facts.antialiased,
+                frozen=stand,
+            )
+            target = torch.from_numpy(self.views.image(index)).to(drawn.images)
+            loss = photometric_loss(drawn.images[0], target, c.ssim_weight)
+            loss.backward()  # type: ignore[no-untyped-call]
+            if self.densifier is not None and drawn.means2d.grad is not None:
+                by_center = drawn.means2d.grad[0]
+                if near is not None:
+                    by_center = by_center.new_zeros((len(self.parameters), 2))
+                    by_center[near] = drawn.means2d.grad[0, :stand]
+                    by_center[self.parameters.frozen :] = drawn.means2d.grad[0, stand:]
+                lengths = self.densifier.lengths(by_center, camera.width, camera.height)
+            self.parameters.adam_step(self.rates())  # from here on no memory is needed
+        except torch.OutOfMemoryError:
+            self.parameters.forget_gradients()
+            raise
+        if self.densifier is not None and lengths is not None:
+            self.densifier.add(lengths)
+        return float(loss.detach())
+
     def record(self) -> Record:
         """Measure on held-out views, if there are any, and append a record."""
         now = Record(self.step, self.seconds, self.loss, len(self.parameters))
         if self.held_out is not None:
-            device = self.parameters.values["means"].device  # a GPU needs tensors, not arrays
-            scene = GaussianTensors.from_gaussians(self.gaussians(), device=device)
-            now = replace(now, psnr=mean_psnr(scene, self.held_out, self.config.backend, self._facts.antialiased))
+            psnr = mean_psnr(self.gaussians(), self.held_out, self.backend, self._facts.antialiased)
+            now = replace(now, psnr=psnr)
         self.history.append(now)
         _LOG.info("step %d: loss %.4f, %d Gaussians, %.2f dB", now.step, now.loss, now.count, now.psnr)
         return now

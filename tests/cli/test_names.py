@@ -25,7 +25,6 @@ LISTS = {"N[,N...]": "N", "S [S ...]|none": "S [S ...]", "E|auto": "E", "FILE [F
 """Metavars of the same thing, where a command takes several of it or a word more."""
 
 KERNELS = {
-    "--backend": "Renderer",
     "--box": "Restrict viewpoints to this box",
     "--cameras": "Cameras ",
     "--cell-size": "Side of a cell",
@@ -41,6 +40,7 @@ KERNELS = {
     "--held-out": "Number of further views to measure on",
     "--json": "Print one JSON document",
     "--levels": "Size of each lower level as a share",
+    "--device": "Device that draws and trains",
     "--discard": "Delete what is kept for the next run",
     "--limit": "The set ",
     "--lod": "Level of detail of a streamed",

@@ -17,7 +17,6 @@ from gsvis.cli import main, parse
 from gsvis.cli.arguments import Render
 from gsvis.io import load_scene, save_scene
 from gsvis.render import rasterize
-from gsvis.render.cuda import choose_backend
 from gsvis.report.frames import target_of
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -70,7 +69,8 @@ def refused(capsys: Capture, *words: object) -> str:
 @pytest.mark.parametrize("backend", ["auto", "cpu", "reference"])
 def test_the_png_is_the_image_of_rasterize(backend: str, ply: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "new" / "image.png"
-    extra = ["--background", "1", "0.5", "0", "--sh-degree", "0", "--antialiased", "--fov", "75", "--backend", backend]
+    extra = ["--background", "1", "0.5", "0", "--sh-degree", "0", "--antialiased", "--fov", "75"]
+    extra += ["--reference"] if backend == "reference" else ["--device", backend]
     output = done(capsys, ply, "-o", out, *TINY, *EYE, *extra)
     seen = rasterize(
         load_scene(ply), camera_of(fov=75.0), backend="cpu", background=(1, 0.5, 0), sh_degree=0, antialiased=True
@@ -281,8 +281,8 @@ def test_an_interrupt_leaves_what_was_there(
             raise KeyboardInterrupt
         return rasterize(*arguments, **options)
 
-    monkeypatch.setattr("gsvis.cli.render.rasterize", interrupted)
-    assert main([*words, "--background", "1", "1", "1", "--backend", "cpu"]) == 130
+    monkeypatch.setattr("gsvis.render.device_scene.rasterize", interrupted)
+    assert main([*words, "--background", "1", "1", "1", "--device", "cpu"]) == 130
     assert capsys.readouterr().err == "gsvis: interrupted; nothing was left half-written\n"
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
@@ -335,6 +335,7 @@ def test_defaults_are_those_the_help_states() -> None:
         (["-o", "a.png", "--contributors", "24,1", *TINY], "24 x 18"),
         (["-o", "rooms.ply/a.png"], "rooms.ply"),
         (["-o", "rooms.ply/a/"], "rooms.ply"),
+        (["-o", "a.png", "--reference", "--device", "cuda"], "--reference: expected the CPU, got --device cuda"),
     ],
 )
 def test_arguments_that_cannot_be_are_refused_in_one_line(
@@ -356,7 +357,7 @@ def test_arguments_that_cannot_be_are_refused_in_one_line(
         (["--radius", "0"], "above 0"),
         (["--elevation", "90"], "[-89, 89]"),
         (["--fps", "100"], "frames a second"),
-        (["--backend", "gpu"], "backend"),
+        (["--device", "gpu"], "device"),
         (["--orbit", "0"], "at least 1"),
     ],
 )
@@ -369,17 +370,8 @@ def test_values_out_of_range_exit_with_2_and_say_which(words: list[str], message
 
 
 def test_a_backend_that_cannot_run_says_why(ply: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gsvis.render.cuda.is_available", lambda: "backend 'cuda': expected a GPU; use backend='cpu'")
-    assert "expected a GPU" in refused(capsys, ply, "-o", ply.parent / "a.png", "--backend", "cuda")
-
-
-def test_without_gsplat_nobody_waits_for_torch_to_be_imported(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
-    monkeypatch.setattr("gsvis.render.cuda.is_available", lambda: asked.append("torch") or "")
-    monkeypatch.setattr("gsvis.render.cuda.has", lambda package: package != "gsplat")
-    assert (choose_backend("auto"), choose_backend("cpu"), asked) == ("cpu", "cpu", [])
-    monkeypatch.setattr("gsvis.render.cuda.has", lambda package: True)
-    assert (choose_backend("auto"), asked) == ("cuda", ["torch"])
+    monkeypatch.setattr("gsvis.render.device.why_no_cuda", lambda: "device 'cuda': expected a GPU; use another")
+    assert "expected a GPU" in refused(capsys, ply, "-o", ply.parent / "a.png", "--device", "cuda")
 
 
 def test_scenes_with_nothing_to_see_or_nowhere_to_stand(

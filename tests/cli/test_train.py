@@ -190,7 +190,7 @@ def test_a_folder_that_may_not_be_written_to_is_refused_at_once(photos: Path, tm
         (["--downscale", "0.5"], "a factor of 1 to 64"),
         (["--steps", "0"], "1 to 10000000"),
         (["--sh-degree", "4"], "an SH degree of 0 to 3"),
-        (["--backend", "gpu"], "cuda"),
+        (["--device", "gpu"], "cuda"),
     ],
 )
 def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], message: str, capsys: Capture) -> None:

@@ -10,7 +10,7 @@ from gsvis.color.evaluate import Evaluator, evaluate
 from gsvis.color.evaluate_torch import SrbfTensors
 from gsvis.color.variants import VARIANTS
 from gsvis.render import GaussianTensors, Rendering, RenderingTensors, rasterize
-from gsvis.render.cuda import is_available
+from gsvis.render.device import why_no_cuda
 from gsvis.scene.cameras import Cameras
 from tests.color.samples import random_colors
 from tests.raycast.scenes import scene
@@ -107,7 +107,7 @@ def test_wrong_lengths_and_values() -> None:
         rasterize(g, VIEWS, colors=broken)
 
 
-@pytest.mark.skipif(bool(is_available()), reason=is_available() or "gsplat runs here")
+@pytest.mark.skipif(bool(why_no_cuda()), reason=why_no_cuda() or "gsplat runs here")
 @pytest.mark.parametrize("name", ["rgb", "hsl"])
 def test_cuda_agrees(name: str) -> None:
     g = scene("blobs")

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from gsvis.color import FitConfig, SrbfColors, fit_srbf
 from gsvis.color.srbf import unit_vectors
 from gsvis.render import rasterize
+from gsvis.render.device_torch import DeviceView
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.colors import LearnConfig, learn_colors, learn_sh
@@ -146,3 +148,38 @@ def test_bad_input_is_refused(scene: Gaussians, colors: SrbfColors, views: Posed
     for name, value in (("steps", -1), ("base_rate", -1.0), ("rates_end", 0.0), ("ssim_weight", 2)):
         with pytest.raises(ValueError, match=name):
             LearnConfig(**{name: value})
+
+
+@pytest.mark.parametrize("squared", [False, True])
+def test_a_device_learns_the_same_colors(
+    scene: Gaussians, colors: SrbfColors, views: PosedImages, squared: bool
+) -> None:
+    config = replace(FEW, squared=squared, steps=12)
+    given = views.cameras if squared else views
+    here = learn_colors(scene, colors, given, config)
+    there = learn_colors(scene, colors, given, config, backend="reference")
+    assert not np.array_equal(here.base, colors.base)
+    images = [rasterize(scene, views.cameras, colors=each).images for each in (here, there)]
+    changed = np.abs(images[0] - rasterize(scene, views.cameras, colors=colors).images).max()
+    assert np.abs(images[0] - images[1]).max() < 0.01 * changed
+
+
+@pytest.mark.parametrize("method", ["__init__", "image", "by_colors"])
+def test_colors_are_learned_on_the_cpu_where_memory_runs_out(
+    method: str,
+    scene: Gaussians,
+    colors: SrbfColors,
+    views: PosedImages,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise torch.OutOfMemoryError
+
+    config = replace(FEW, steps=3)
+    here = learn_colors(scene, colors, views, config)
+    monkeypatch.setattr(DeviceView, method, fail)
+    there = learn_colors(scene, colors, views, config, backend="reference")
+    for name in ("base", "centers", "decays", "intensities"):
+        assert np.array_equal(getattr(here, name), getattr(there, name)), name
+    assert caplog.messages == ["the memory of the GPU ran out; colors are learned on the CPU from here"]
