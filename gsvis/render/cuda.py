@@ -67,15 +67,15 @@ def rasterize_cuda(
         render_mode="RGB+ED",
         rasterize_mode="antialiased" if antialiased else "classic",
     )
-    if probe.requires_grad:
+    if probe.requires_grad and info["means2d"].requires_grad:  # it does not if colors alone have gradients
         _forward_gradient(info["means2d"], probe)
     image = images[0, ..., :3]
     alpha = alphas[0, ..., 0]
     return image, alpha, images[0, ..., 3], torch.full_like(alpha, float("nan"))
 
 
-def draw_one() -> None:
-    """Draw one Gaussian on the GPU; raise what gsplat raises if it cannot, such as `RuntimeError`."""
+def draw_one(device: str) -> None:
+    """Draw one Gaussian on a torch device; raise what gsplat raises if it cannot, such as `RuntimeError`."""
     import torch
 
     from gsvis.render.tensors import GaussianTensors
@@ -83,13 +83,13 @@ def draw_one() -> None:
     one = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
     camera = Cameras.look_at([[4.0, 0.0, 0.0]], (0.0, 0.0, 0.0), width=16, height=16)
     rasterize_cuda(
-        GaussianTensors.from_gaussians(one, device="cuda"),
+        GaussianTensors.from_gaussians(one, device=device),
         camera,
         background=np.zeros(3, np.float32),
         sh_degree=0,
         antialiased=False,
         colors=None,
-        probe=torch.zeros(1, 2, device="cuda"),
+        probe=torch.zeros(1, 2, device=device),
     )
     torch.cuda.synchronize()  # an error of a kernel is raised here
 

@@ -25,6 +25,7 @@ DEVICES = ("auto", "cpu", "cuda")
 T = TypeVar("T")
 
 _LOG = logging.getLogger(__name__)
+_TORCH_DEVICES = {"cuda": "cuda", "reference": "cpu"}
 _INSTEAD = "or use the device 'cpu'"
 
 
@@ -109,7 +110,7 @@ def torch_device_of(backend: str) -> str | None:
 
     The backend "reference" goes the same way as "cuda", on the CPU: what a GPU would do can be tested without one.
     """
-    return {"cuda": "cuda", "reference": "cpu"}.get(backend)
+    return _TORCH_DEVICES.get(backend)
 
 
 class OnDevice:
@@ -179,7 +180,7 @@ def _why_not_drawn() -> str:
     from gsvis.render.cuda import draw_one
 
     try:
-        draw_one()
+        draw_one(_TORCH_DEVICES["cuda"])
     except (AttributeError, ImportError, OSError, RuntimeError) as error:
         got = str(error).strip().split("\n")[0] or type(error).__name__
         return f"device 'cuda': expected a gsplat that draws here, got '{got}'; install gsplat for this GPU, {_INSTEAD}"

@@ -16,8 +16,10 @@ from torch import Tensor
 
 from gsvis import _check
 from gsvis.render.rasterizer import rasterize
+from gsvis.render.reference import NEAR
 from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.lengths import length_factor
 
 __all__ = ["DeviceView", "draw_in_parts"]
 
@@ -66,10 +68,16 @@ def draw_in_parts(
 
 
 def _split_by_depth(tensors: GaussianTensors, camera: Cameras, parts: int) -> Iterator[GaussianTensors]:
-    """Yield the Gaussians in parts, front to back by the camera z of their centers."""
+    """Yield the Gaussians beyond the near plane in parts, front to back by the camera z of their centers.
+
+    The near plane is that of the whole scene: a part, which is smaller, may have a nearer one.
+    """
     row = torch.tensor(camera.viewmats[0, 2], dtype=tensors.means.dtype, device=tensors.means.device)
-    order = torch.argsort(tensors.means @ row[:3] + row[3], stable=True)
-    for rows in order.chunk(parts):
+    depths = tensors.means @ row[:3] + row[3]
+    some = tensors.means[:: max(1, len(tensors) // 4096)]  # a sample: to copy all would take long
+    seen = torch.nonzero(depths > NEAR / length_factor(some.cpu().numpy()))[:, 0]
+    order = seen[torch.argsort(depths[seen], stable=True)]
+    for rows in order.chunk(parts) if len(order) else ():
         yield GaussianTensors(**{name: tensor[rows] for name, tensor in vars(tensors).items()})
 
 

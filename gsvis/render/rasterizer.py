@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.errors import BackendError
 from gsvis.render.colors import Colors, camera_colors
-from gsvis.render.device import why_no_cuda
+from gsvis.render.device import torch_device_of, why_no_cuda
 from gsvis.render.reference import draw_reference
 from gsvis.render.splats import View, draw
 from gsvis.scene.cameras import Cameras
@@ -147,7 +147,7 @@ def rasterize(
     from gsvis.render.tensors import GaussianTensors
 
     if isinstance(gaussians, Gaussians):
-        gaussians = GaussianTensors.from_gaussians(gaussians, device="cuda" if backend == "cuda" else "cpu")
+        gaussians = GaussianTensors.from_gaussians(gaussians, device=torch_device_of(backend) or "cpu")
     drawn = rasterize_tensors(
         gaussians,
         cameras,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -16,9 +17,11 @@ from gsvis.cli import main
 from gsvis.cli.arguments import Command
 from gsvis.cli.options import command_name, leaves
 from gsvis.errors import BackendError
-from gsvis.io import save_scene
+from gsvis.io import load_scene, save_scene
+from gsvis.render import rasterizer_torch
 from gsvis.render.device import Device
 from gsvis.scene.procedural import two_rooms
+from tests.render.pretended_gpu import pretend_gpu
 from tests.train.photo_files import cloud, write_photos
 
 Capture = pytest.CaptureFixture[str]
@@ -83,7 +86,6 @@ def test_torch_is_not_imported_for_the_cpu(ply: Path, tmp_path: Path) -> None:
     words = [
         ["analyze", str(ply), "-o", "a", "--views", "1", *small, "--traced-sample", "0", *box],
         ["pvs", str(ply), "-o", "a.pvs", *sets, *box],
-        ["render", str(ply), "-o", "a.png", *small, "--eye", "2", "2", "1"],
     ]
     device = "cpu" if has("gsplat") else "auto"
     code = f"""
@@ -110,6 +112,43 @@ def test_a_device_draws_what_the_cpu_draws(
     pictures = [np.asarray(Image.open(tmp_path / f"{name}.png")).astype(int) for name in ("here", "there")]
     assert np.abs(pictures[0] - pictures[1]).max() <= 1
     assert pictures[0].max() > 0
+
+
+TINY = ["--width", "20", "--height", "16"]
+RUNS = {
+    "render": ["render", "IN", "-o", "a.png", *TINY, "--eye", "2", "2", "1"],
+    "levels": ["levels", "IN", "-o", "levels", "--steps", "2", *TINY, "--views", "2", "--held-out", "1",
+               "--preview", "0"],
+    "color": ["color", "IN", "-o", "a.arrow", "--views", "2", "--held-out", "0", *TINY, "--max-terms", "1",
+              "--color-steps", "2", "--fit", "omp", "--directions", "faces"],
+    "train": ["train", "PHOTOS", "-o", "a.ply", "--steps", "4", "--evaluate-every", "4", "--sh-degree", "0"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_command_runs_whole_on_a_gpu_that_is_pretended(
+    name: str, ply: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    save_scene(load_scene(ply)[::6], tmp_path / "few.ply")
+    places = {"IN": "few.ply", "PHOTOS": "photos"}
+    if name == "train":
+        write_photos(tmp_path / "photos", points=cloud())
+    drawn: list[str] = []
+    pretend_gpu(monkeypatch)
+    rasterize_cuda = rasterizer_torch.rasterize_cuda
+    monkeypatch.setattr(
+        rasterizer_torch, "rasterize_cuda", lambda *words, **named: drawn.append("") or rasterize_cuda(*words, **named)
+    )
+    box = [] if name in ("train", "render") else ["--box", "1", "1", "1", "7", "3", "2"]
+    assert main([places.get(word, word) for word in RUNS[name]] + box + ["--device", "cuda", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert "gsvis: device: cuda, a pretended GPU\n" in err
+    assert "memory" not in err
+    assert len(drawn) >= (1 if name == "render" else 4)
+    document = json.loads(out)
+    if name == "train":
+        assert document["device"] == "cuda"
 
 
 def test_the_cpu_says_nothing(ply: Path, tmp_path: Path, capsys: Capture) -> None:

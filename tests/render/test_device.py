@@ -5,6 +5,7 @@ No GPU is needed: the backend "reference" goes the way of a GPU with tensors on 
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -23,9 +24,16 @@ from gsvis.render.fixed_view import FixedView
 from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from tests.render.pretended_gpu import pretend_gpu
 
 NO_CUDA = why_no_cuda()
 Patch = pytest.MonkeyPatch
+
+
+@pytest.fixture(autouse=True)
+def no_garbage(monkeypatch: Patch) -> None:
+    """Collect no garbage where memory runs out: that takes a second in a process as large as that of tests."""
+    monkeypatch.setattr(gc, "collect", lambda: 0)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +68,7 @@ def with_torch(patch: Patch, *, built: str | None = "12.6", works: bool = True, 
     patch.setattr(torch.cuda, "init", start)
 
 
-def with_gsplat(patch: Patch, draw: Callable[[], None] = lambda: None) -> None:
+def with_gsplat(patch: Patch, draw: Callable[[str], None] = lambda device: None) -> None:
     """Install a gsplat that draws, or fails to."""
     patch.setitem(sys.modules, "gsplat", SimpleNamespace())
     patch.setattr("gsvis.render.device.has", lambda package: True)
@@ -223,6 +231,42 @@ def test_a_view_on_a_device_is_the_fixed_view(scene: Gaussians, camera: Cameras,
 
 def test_backends_have_devices() -> None:
     assert [torch_device_of(name) for name in ("auto", "cpu", "cuda", "reference")] == [None, None, "cuda", "cpu"]
+
+
+def test_parts_have_the_near_plane_of_the_whole() -> None:
+    """A small scene has a nearer one: a part of this scene would show what the whole does not."""
+    rng = np.random.default_rng(4)
+    means = rng.uniform(-0.25, 0.25, (60, 3))
+    means[:, 2] += 0.26
+    means[0] = [0.0, 0.0, 0.008]
+    g = Gaussians(
+        means, np.tile([1.0, 0, 0, 0], (60, 1)), np.full((60, 3), 0.004), np.full(60, 0.8), rng.normal(size=(60, 1, 3))
+    )
+    camera = Cameras.look_at([[0.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]], up=(0, -1, 0), width=16, height=12)
+    shown = DeviceScene(g, "reference")
+    whole = shown.draw(camera).images
+    shown.parts = 16
+    np.testing.assert_allclose(shown.draw(camera).images, whole, atol=2e-4)
+
+
+def test_the_backend_of_gsplat_draws_and_has_gradients(scene: Gaussians, camera: Cameras, monkeypatch: Patch) -> None:
+    pretend_gpu(monkeypatch)
+    assert choose_device("cuda") == choose_device("auto") == Device("cuda", "a pretended GPU")
+    here = FixedView(scene, camera, antialiased=True)
+    shown = DeviceScene(scene, "cuda")
+    image = rasterize(scene, camera, background=(0.1, 0.2, 0.3), antialiased=True).images
+    for parts in (1, 3):
+        shown.parts = parts
+        found = shown.draw(camera, background=(0.1, 0.2, 0.3), antialiased=True).images
+        np.testing.assert_allclose(found, image, atol=3e-4)
+    there = DeviceView(shown.tensors, camera, "cuda", antialiased=True)
+    assert np.array_equal(here.ids, there.ids)
+    by_image = np.random.default_rng(2).normal(size=(camera.height, camera.width, 3))
+    np.testing.assert_allclose(there.by_colors(by_image), here.by_colors(by_image), atol=1e-3)
+    drawn = rasterize(GaussianTensors.from_gaussians(scene, requires_grad=True), camera, backend="cuda")
+    drawn.images.square().sum().backward()
+    assert drawn.means2d.grad is not None
+    assert float(drawn.means2d.grad.abs().sum()) > 0.0
 
 
 @pytest.mark.skipif(bool(NO_CUDA), reason=NO_CUDA or "a GPU is here")

@@ -5,6 +5,7 @@ The backend "reference" goes the way of a GPU with tensors on the CPU; its memor
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,12 @@ from tests.train.test_parameters import some_gaussians
 NO_CUDA = why_no_cuda()
 RULES = DensifyConfig(start=1, stop=6, every=2, threshold=1e-7, most_count=24, reset_every=0)
 CONFIG = TrainConfig(iterations=6, sh_degree=1, sh_every=3, densify=RULES, evaluate_every=3, backend="reference")
+
+
+@pytest.fixture(autouse=True)
+def no_garbage(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Collect no garbage where memory runs out: that takes a second in a process as large as that of tests."""
+    monkeypatch.setattr(gc, "collect", lambda: 0)
 
 
 @pytest.fixture(scope="module")
