@@ -72,10 +72,11 @@ def save_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
     save_arrays(path, arrays)
 
 
-def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
-    """Restore a run from a checkpoint.
+def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> float:
+    """Restore a run from a checkpoint, on the device of its values; return the step.
 
     Raises:
+        torch.OutOfMemoryError: If it does not fit the memory of the device; to load it again on another restores all.
         FormatError: If the file is damaged, or has another format or a newer version.
         ValueError: If it belongs to a different run.
     """
@@ -99,8 +100,11 @@ def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
         p.steps, trainer.step = int(header["adam_steps"]), int(header["step"])
         trainer.seconds, trainer.loss = float(header["seconds"]), float(header["loss"])
         trainer.history = [Record(**record) for record in header["history"]]
+    except torch.OutOfMemoryError:
+        raise
     except (LookupError, TypeError, ValueError, OverflowError, RuntimeError) as error:
         raise FormatError(path, "", "a complete checkpoint", f"{type(error).__name__}: {error}", _AGAIN) from error
+    return float(trainer.step)
 
 
 def _check_shapes(arrays: dict[str, NDArray[Any]]) -> None:

@@ -47,8 +47,8 @@ class Parameters:
     steps: int = 0
 
     @classmethod
-    def from_gaussians(cls, gaussians: Gaussians, *, frozen: int = 0, device: str = "cpu") -> Parameters:
-        """Return the raw values of a scene, with moments 0."""
+    def from_gaussians(cls, gaussians: Gaussians, *, frozen: int = 0) -> Parameters:
+        """Return the raw values of a scene, with moments 0, on the CPU."""
         opacities = torch.tensor(gaussians.opacities)
         raw = {
             "means": torch.tensor(gaussians.means),
@@ -58,7 +58,7 @@ class Parameters:
             "sh0": torch.tensor(gaussians.sh0),
             "shN": torch.tensor(gaussians.shN),
         }
-        values = {name: raw[name].to(device).requires_grad_() for name in NAMES}
+        values = {name: raw[name].requires_grad_() for name in NAMES}
         first, second = ({name: _zeros_of(v) for name, v in values.items()} for _ in "12")
         return cls(values, first, second, frozen)
 
@@ -134,7 +134,11 @@ class Parameters:
         return Parameters(dict(self.values), dict(self.first), dict(self.second), self.frozen, self.steps)
 
     def move(self, device: str) -> None:
-        """Move all values to a device; gradients are dropped."""
+        """Move all values to a device; gradients are dropped.
+
+        Raises:
+            torch.OutOfMemoryError: If they do not fit. Some may lie there then; another call moves all.
+        """
         for store in (self.values, self.first, self.second):
             store.update({name: each.detach().to(device) for name, each in store.items()})
         for value in self.values.values():
@@ -175,9 +179,7 @@ class Parameters:
 
 
 def _zeros_of(value: Tensor) -> Tensor:
-    """Return zeros of the same shape; on the CPU, those of frozen rows are never touched and take no memory."""
-    if value.device.type != "cpu":
-        return torch.zeros_like(value, requires_grad=False)
+    """Return zeros of the same shape; those of frozen rows are never touched and take no memory."""
     return torch.from_numpy(np.zeros(tuple(value.shape), np.float32))
 
 

@@ -12,7 +12,7 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import torch
@@ -113,14 +113,14 @@ class Trainer:
             whole = Gaussians.concatenate([_set_degree(part, degree) for part in (frozen, start)])
         self._facts = whole.facts
         self.backend = config.backend
-        device = torch_device_of(config.backend) or "cpu"
-        self.parameters = Parameters.from_gaussians(whole, frozen=0 if frozen is None else len(frozen), device=device)
+        self.parameters = Parameters.from_gaussians(whole, frozen=0 if frozen is None else len(frozen))
         rules = config.densify
         self.densifier = Densifier(rules, self.extent, self.parameters) if rules is not None else None
         self.step = 0
         self.seconds = 0.0
         self.loss = math.nan
         self.history: list[Record] = []
+        self._run(self._begin)
 
     @cached_property
     def key(self) -> str:
@@ -171,10 +171,16 @@ class Trainer:
             return found
         _LOG.warning("the memory of the GPU ran out at step %d; training goes on on the CPU", self.step)
         self.backend = "cpu"
-        self.parameters.move("cpu")
-        if self.densifier is not None:
-            self.densifier.move("cpu")
+        self._begin()
         return part()
+
+    def _begin(self) -> float:
+        """Move all values to the device of the backend; return their number."""
+        device = torch_device_of(self.backend) or "cpu"
+        self.parameters.move(device)
+        if self.densifier is not None:
+            self.densifier.move(device)
+        return float(len(self.parameters))
 
     def _change(self) -> float:
         """Add and remove Gaussians and raise the degree of SH, if it is time; return the number of Gaussians.
@@ -269,7 +275,7 @@ class Trainer:
         last = self.config.iterations
         checkpoint = None if checkpoint is None else _check.path("checkpoint", checkpoint)
         if checkpoint is not None and checkpoint.exists():
-            load_checkpoint(checkpoint, self)
+            self._run(partial(load_checkpoint, checkpoint, self))
         progress("train", self.step, last)
         # `whole` is False in the middle of a step, where the state is inconsistent
         saved = _clock()

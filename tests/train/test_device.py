@@ -18,6 +18,7 @@ from gsvis.render.device import why_no_cuda
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train import trainer as trainer_module
+from gsvis.train.checkpoint import save_checkpoint
 from gsvis.train.config import DensifyConfig, TrainConfig
 from gsvis.train.densify import Densifier
 from gsvis.train.images import PosedImages, render_views
@@ -100,6 +101,34 @@ def test_training_goes_on_on_the_cpu_where_memory_runs_out(
     assert run.backend == "cpu"
     assert caplog.messages == [f"the memory of the GPU ran out at step {step}; training goes on on the CPU"]
     same(run.gaussians(), wanted.gaussians(), 1e-6)
+
+
+@pytest.mark.parametrize("place", ["the values", "a checkpoint"])
+def test_a_scene_that_does_not_fit_is_trained_on_the_cpu(
+    place: str, views: PosedImages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    wanted = trainer(views, "cpu")
+    for _ in range(3):
+        wanted.advance()
+    save_checkpoint(tmp_path / "a", wanted)
+    run = trainer(views) if place == "a checkpoint" else None
+    owner, name = (torch, "from_numpy") if run else (Parameters, "move")
+    working = getattr(owner, name)
+    tries: list[int] = []
+
+    def fail(*words: Any) -> Any:
+        """Run out of memory twice: the second try is with caches emptied."""
+        tries.append(1)
+        if len(tries) < 3:
+            raise torch.OutOfMemoryError
+        return working(*words)
+
+    monkeypatch.setattr(owner, name, fail)
+    run = run or trainer(views)
+    found = run.run(checkpoint=tmp_path / "a")
+    assert run.backend == "cpu"
+    assert caplog.messages == ["the memory of the GPU ran out at step 0; training goes on on the CPU"]
+    same(found.gaussians, wanted.run().gaussians, 1e-6)
 
 
 def test_a_run_begun_on_a_device_resumes_on_another(views: PosedImages, tmp_path: Path) -> None:
