@@ -8,12 +8,13 @@ import subprocess
 import sys
 import threading
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import quote
 
 from gsvis.cli.arguments import View
@@ -27,6 +28,7 @@ from gsvis.files.temporary import temporary_folder
 from gsvis.package.manifest import MANIFEST
 
 if TYPE_CHECKING:
+    from gsvis.export.static import StaticOptions
     from gsvis.scene.gaussians import Gaussians
     from gsvis.scene.navigable import NavigableSpace
     from gsvis.scene.paths import HeadPath
@@ -35,9 +37,10 @@ if TYPE_CHECKING:
 
 __all__ = ["run_view"]
 
-Later = Callable[[], None]
+Later = Callable[["Scenes"], None]
 _PORT = 8765
 _CACHE = 512_000_000
+_LARGE = 500_000  # Gaussians of a scene of which a sample is shown first
 
 
 def run_view(command: View) -> None:
@@ -47,8 +50,10 @@ def run_view(command: View) -> None:
 
     with ExitStack() as stack:
         stack.enter_context(log_to_stderr(TextLines(), logging.DEBUG if command.output.debug else logging.WARNING))
-        command, folder, name, remarks, later = _folder_of(command, stack)
-        scene = open_scene(folder, name, max_cache_bytes=_CACHE)
+        shown = _open(command, stack)
+        command = shown.command
+        scene = open_scene(shown.folder, shown.name, max_cache_bytes=_CACHE)
+        scene.preparing = shown.in_part
         scenes = stack.enter_context(Scenes([scene]))
         name = scene.name
         server = _listen(command, scenes)
@@ -56,14 +61,14 @@ def run_view(command: View) -> None:
         page = server.page(name)
         if command.output.json:
             found = {"format": "gsvis-viewing", "version": 1, "url": page, "stream": server.url, "scene": name}
-            print_json(found | {"remarks": [each.strip() for each in remarks]})
+            print_json(found | {"remarks": [each.strip() for each in shown.remarks]})
             sys.stdout.flush()
         else:
-            for each in remarks:
+            for each in shown.remarks:
                 say(each.strip())
             say(f"{page} shows {shown_name(command.scene)}; Ctrl-C ends it")
-        if later is not None:
-            threading.Thread(target=later, daemon=True).start()
+        if shown.later is not None:
+            threading.Thread(target=copy_context().run, args=(shown.later, scenes), daemon=True).start()
         if not command.no_browser:
             # The server listens already; it answers as soon as it runs.
             threading.Thread(target=webbrowser.open, args=(_address(server, page),), daemon=True).start()
@@ -71,12 +76,28 @@ def run_view(command: View) -> None:
             server.run()
 
 
-def _folder_of(command: View, stack: ExitStack) -> tuple[View, Path, str, list[str], Later | None]:
-    """Return the command with answers of the user, the folder to serve, the name in addresses, remarks, what is left.
+class _Opened(NamedTuple):
+    """A scene that can be served.
 
-    A package, a world and a static scene are served from their folder, which gives the name ("" here); any other scene
-    from a temporary one. What is left to do, if anything, is done while the scene is shown.
+    Attributes:
+        command: The command, with answers of the user.
+        folder: The folder to serve.
+        name: The name in addresses; "" for that of the folder.
+        remarks: Remarks for the user.
+        later: What is left to do while the scene is shown; None for nothing.
+        in_part: Whether a sample is shown until the whole is there.
     """
+
+    command: View
+    folder: Path
+    name: str = ""
+    remarks: Sequence[str] = ()
+    later: Later | None = None
+    in_part: bool = False
+
+
+def _open(command: View, stack: ExitStack) -> _Opened:
+    """Return what to serve: a package, a world and a static scene as they are, any other from a temporary folder."""
     from gsvis.serve.sites import is_site
     from gsvis.world.world import is_world
 
@@ -87,16 +108,18 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[View, Path, str, list[s
             raise ValueError(
                 f"{option}: expected none for a package, a world or a static scene, got {got}; leave it out"
             )
-        return command, path, "", [], None
+        return _Opened(command, path)
     from gsvis.cli.asking import settle_visit
     from gsvis.cli.source import open_source
     from gsvis.export.later_walk import promise_walk
     from gsvis.export.static import StaticOptions, write_static
-    from gsvis.io.sources import title_of
+    from gsvis.io.sources import check_source, glance_at, title_of
 
     walk = _check_scene(command)
     with Status() as status:
-        source = open_source(command.scene, command.lod, status)
+        check_source(command.scene, command.lod)
+        glance = None if command.prepare is not None else glance_at(command.scene, _LARGE)
+        source = open_source(command.scene, command.lod, status) if glance is None else glance[0]
         folder = Path(stack.enter_context(temporary_folder()))
         where, visit = settle_visit(command.where, source, walk, status, quiet=command.output.json)
         command = replace(command, where=where)
@@ -104,14 +127,42 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[View, Path, str, list[s
         name = title_of(command.scene, source.lod)
         shown = StaticOptions(name, (x, y, z), poses=visit.starts, most_sets=None)
         write_static(folder, source.whole, shown, progress=status)
-        later = None
         if visit.space is not None:
             promise_walk(folder)
-            later = partial(_write_walk, folder, source.gaussians, visit.space)
-    return command, folder, title_of(command.scene), visit.remarks, later
+    remarks = list(visit.remarks)
+    later: Later | None = None
+    if glance is not None:
+        whole = Path(stack.enter_context(temporary_folder()))
+        later = partial(_show_all, command, whole, shown, visit.space)
+        remarks.append(f" first {len(source.gaussians):,} of {glance[1]:,} Gaussians; all of them follow by themselves")
+    elif visit.space is not None:
+        later = partial(_write_walk, folder, source.gaussians, visit.space)
+    return _Opened(command, folder, title_of(command.scene), remarks, later, glance is not None)
 
 
-def _write_walk(folder: Path, g: Gaussians, space: NavigableSpace) -> None:
+def _show_all(command: View, folder: Path, shown: StaticOptions, space: NavigableSpace | None, scenes: Scenes) -> None:
+    """Serve the whole scene in place of the sample that is shown, as soon as it is read and written to a folder."""
+    from gsvis.export.later_walk import promise_walk
+    from gsvis.export.static import write_static
+    from gsvis.io.sources import load_source, title_of
+    from gsvis.serve.scenes import open_scene
+
+    name = title_of(command.scene)
+    try:
+        source = load_source(command.scene, command.lod)
+        write_static(folder, source.whole, shown)
+        if space is not None:
+            promise_walk(folder)
+        scenes.replace(open_scene(folder, name, max_cache_bytes=_CACHE))
+    except (GsvisError, OSError) as error:
+        scenes[name].preparing = False
+        say(f"{shown_name(command.scene)} is shown in part: {error}")
+        return
+    if space is not None:
+        _write_walk(folder, source.gaussians, space, scenes)
+
+
+def _write_walk(folder: Path, g: Gaussians, space: NavigableSpace, _scenes: Scenes) -> None:
     """Write where one can walk in the scene that is shown; nothing once the folder is gone with the command."""
     from gsvis.export.later_walk import write_walk
 

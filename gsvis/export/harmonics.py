@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gsvis.export.columns import compress
 from gsvis.io.quantize import distinct_rows, palette_of
+from gsvis.jobs.in_order import in_order
 
 __all__ = ["BLOCK", "Harmonics", "Palette", "label_bytes"]
 
@@ -134,8 +135,13 @@ class Palette:
 
     def blocks(self) -> list[bytes]:
         """Return the file of each block: each byte less that of the set before it, byte after byte, compressed."""
-        apart = (np.diff(block, axis=0, prepend=np.uint8(ZERO)) for block in _in_blocks(self.sets))
-        return [compress(np.ascontiguousarray(each.T).tobytes()) for each in apart]
+
+        def encode(block: U8) -> bytes:
+            """Return the file of a block."""
+            apart = np.diff(block, axis=0, prepend=np.uint8(ZERO))
+            return compress(np.ascontiguousarray(apart.T).tobytes())
+
+        return list(in_order(encode, _in_blocks(self.sets)))
 
 
 def label_bytes(sets: int) -> int:

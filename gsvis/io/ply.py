@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from io import BytesIO
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -28,7 +29,7 @@ from gsvis.io.losses import report_loss, report_note
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["load_ply", "ply_rows", "read_ply", "save_ply", "save_ply_parts"]
+__all__ = ["load_ply", "ply_rows", "read_ply", "sample_ply", "save_ply", "save_ply_parts"]
 
 F32 = NDArray[np.float32]
 _MEANS = ("x", "y", "z")
@@ -77,6 +78,49 @@ def read_ply(
     header = parse_header(path, stream, size)
     if is_compressed(header):
         return read_compressed(header, stream)
+    vertex, columns = _find(header)
+    facts = _facts(header, vertex, columns, stream)
+    if rows is None or rows[0] == 0:
+        _report(header.path, columns, facts)
+    part = header if rows is None else _cut_header(header, *rows)
+    return _read(part, columns, facts, stream)
+
+
+def sample_ply(path: str | os.PathLike[str], most: int) -> tuple[Gaussians, int] | None:
+    """Read rows spread evenly over a binary PLY of Gaussians that has more of them; None for any other file.
+
+    Args:
+        path: The file.
+        most: Number of rows to read.
+
+    Returns:
+        The Gaussians of these rows, and the number of all rows.
+
+    Raises:
+        FormatError: As `load_ply`; values of other rows are not checked.
+        OSError: If it cannot be opened.
+    """
+    with open_regular(path) as stream:
+        header = parse_header(path, stream, os.fstat(stream.fileno()).st_size)
+        if header.encoding == "ascii" or is_compressed(header):
+            return None
+        vertex, columns = _find(header)
+        if vertex.count <= most:
+            return None
+        row, offset = header.rows_of(vertex)
+        facts = _facts(header, vertex, columns, stream)
+        places = np.linspace(0, vertex.count - 1, most).astype(np.int64)
+        found = np.memmap(stream, row, "r", offset, (vertex.count,))[places].tobytes()
+        some = replace(header, elements=(replace(vertex, count=most, offset=0),))
+        return _read(some, columns, facts, BytesIO(found)), vertex.count
+
+
+def _find(header: PlyHeader) -> tuple[Element, Columns]:
+    """Return the element of the Gaussians, and its columns.
+
+    Raises:
+        FormatError: If the file holds none, or is truncated.
+    """
     vertex = header.element("vertex")
     if vertex is None:
         names = ", ".join(e.name for e in header.elements) or "none"
@@ -88,11 +132,7 @@ def read_ply(
         raise FormatError(
             header.path, "element vertex", "at least one Gaussian", "none", "the file holds an empty scene"
         )
-    facts = _facts(header, vertex, columns, stream)
-    if rows is None or rows[0] == 0:
-        _report(header.path, columns, facts)
-    part = header if rows is None else _cut_header(header, *rows)
-    return _read(part, columns, facts, stream)
+    return vertex, columns
 
 
 def ply_rows(path: str | os.PathLike[str], stream: BinaryIO) -> tuple[int, int] | None:

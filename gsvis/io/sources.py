@@ -16,9 +16,9 @@ from gsvis import _check
 from gsvis._text import as_line
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.procedural import BUILTIN_SCENES, CLEARANCE, BuiltinScene, builtin_scene
-from gsvis.scene.source import Source
+from gsvis.scene.source import SOME, Source, enlarged
 
-__all__ = ["BUILTIN", "check_source", "inputs_of", "is_builtin", "is_levels", "load_source", "title_of"]
+__all__ = ["BUILTIN", "check_source", "glance_at", "inputs_of", "is_builtin", "is_levels", "load_source", "title_of"]
 
 BUILTIN = "builtin:"
 """What the name of a built-in scene starts with."""
@@ -114,6 +114,31 @@ def load_source(scene: str, lod: int | None) -> Source:
         lod = lods[0]
     known_up = None if g.facts.up is None else np.asarray(g.facts.up, np.float64)
     return Source(title_of(scene, lod), g, path, lod, lods, known_up=known_up)
+
+
+def glance_at(scene: str, least: int) -> tuple[Source, int] | None:
+    """Return a large scene with a sample of its Gaussians, enlarged, and the number of all; None if none is quick.
+
+    A file of many gigabytes takes a fraction of a second: of a binary PLY only some rows are read.
+
+    Args:
+        scene: A path or a `builtin:NAME`.
+        least: Number of Gaussians from which a scene is large.
+
+    Raises:
+        FormatError: If the file is damaged where it was read.
+        OSError: If it cannot be opened.
+    """
+    if is_builtin(scene) or Path(scene).suffix.lower() != ".ply":
+        return None
+    from gsvis.io.ply import sample_ply
+
+    found = sample_ply(scene, SOME)
+    if found is None or found[1] < least:
+        return None
+    some, count = found
+    known_up = None if some.facts.up is None else np.asarray(some.facts.up, np.float64)
+    return Source(title_of(scene), enlarged(some, count), Path(scene), known_up=known_up), count
 
 
 def _builtin_facts(made: BuiltinScene) -> SceneFacts:

@@ -1,4 +1,4 @@
-"""`gsvis view` as a process: a scene as it is from files, a package as a stream, and one that changes over."""
+"""`gsvis view`: a scene as it is from files, a large one in part at first, a package as a stream, and changes over."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ import subprocess
 import sys
 import urllib.request
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gsvis.cli import main, view
 from gsvis.cli.arguments import Prepare, View
 from gsvis.cli.options import PLACING, Reading, Shown, leaves
 from gsvis.export import write_static
+from gsvis.io import sources
+from gsvis.io.ply import save_ply
 from gsvis.scene.procedural import two_rooms
 from gsvis.serve.scenes import Scenes, open_scene
 from tests import warm_start
@@ -184,6 +187,54 @@ def test_preparation_ends_with_the_server_and_says_nothing(
         pass
     assert scenes["room"].site is not None
     assert capsys.readouterr().err == ""
+
+
+@pytest.fixture
+def large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file with more Gaussians than are shown at once."""
+    monkeypatch.setattr(view, "_LARGE", 900)
+    monkeypatch.setattr(sources, "SOME", 100)
+    path = tmp_path / "hall.ply"
+    save_ply(two_rooms(1000).gaussians[:1000], path)
+    return path
+
+
+def test_a_large_file_is_shown_in_part_until_the_whole_is_there(large: Path) -> None:
+    with ExitStack() as stack:
+        opened = view._open(View(str(large)), stack)
+        assert opened.in_part
+        assert "first 100 of 1,000 Gaussians" in opened.remarks[-1]
+        sample = open_scene(opened.folder, opened.name)
+        sample.preparing = True
+        with Scenes([sample]) as scenes:
+            assert (sample.gaussians, opened.later is None) == (100, False)
+            assert opened.later is not None
+            opened.later(scenes)
+            whole = scenes["hall"]
+            assert (whole.gaussians, whole.preparing) == (1000, False)
+            starts = [json.loads((each.path / "scene.json").read_text())["poses"] for each in (sample, whole)]
+            assert starts[0] == starts[1]
+
+
+def test_a_large_file_that_is_damaged_further_on_stays_in_part(large: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = bytearray(large.read_bytes())
+    row = (len(data) - data.index(b"end_header\n") - 11) // 1000
+    data[-500 * row : 4 - 500 * row] = np.float32(np.nan).tobytes()
+    large.write_bytes(data)
+    with ExitStack() as stack:
+        opened = view._open(View(str(large)), stack)
+        sample = open_scene(opened.folder, opened.name)
+        with Scenes([sample]) as scenes:
+            assert opened.later is not None
+            opened.later(scenes)
+            assert scenes["hall"] is sample
+            assert not sample.preparing
+    assert "is shown in part" in capsys.readouterr().err
+
+
+def test_a_large_file_that_is_prepared_meanwhile_is_read_whole(large: Path) -> None:
+    with ExitStack() as stack:
+        assert not view._open(View(str(large), prepare="made.gsvis"), stack).in_part
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gsvis.errors import FormatError
-from gsvis.io.ply import load_ply, save_ply
+from gsvis.io.ply import load_ply, sample_ply, save_ply
 from gsvis.scene.gaussians import Gaussians
 from tests.io.scene_files import ply_bytes, random_scene, raw_columns
 
@@ -74,6 +74,21 @@ def test_windows_line_ends_in_the_header(tmp_path: Path) -> None:
 def test_rows_beyond_one_chunk(tmp_path: Path) -> None:
     scene = random_scene(n=40_000, sh_degree=1)
     assert_alike(load(tmp_path, ply_bytes(raw_columns(scene))), scene)
+
+
+@pytest.mark.parametrize("encoding", ["binary_little_endian", "binary_big_endian", "ascii"])
+def test_a_sample_is_rows_of_the_whole(tmp_path: Path, encoding: str) -> None:
+    scene = random_scene(500)
+    file = tmp_path / "scene.ply"
+    file.write_bytes(ply_bytes(raw_columns(scene), encoding=encoding))
+    found = sample_ply(file, 100)
+    if encoding == "ascii":
+        assert found is None
+        return
+    assert found is not None
+    assert found[1] == 500
+    assert_alike(found[0], scene[np.linspace(0, 499, 100).astype(np.int64)])
+    assert sample_ply(file, 500) is None
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])

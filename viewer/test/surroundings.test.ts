@@ -14,7 +14,7 @@ import { readScenes } from "../src/page/list.ts";
 import { describeState, explainFailure } from "../src/page/messages.ts";
 import { edgesOf } from "../src/page/overlay.ts";
 import { pivot } from "../src/page/rig.ts";
-import { awaitStream, factsOf, holdPoses } from "../src/page/scene.ts";
+import { awaitMore, factsOf, holdPoses } from "../src/page/scene.ts";
 import { startInCells, startOnFloor, surroundedBy } from "../src/page/start.ts";
 import * as v from "../src/page/vector.ts";
 import type { Vec3 } from "../src/page/vector.ts";
@@ -319,14 +319,23 @@ test("a scene that is being prepared is asked for until it streams, also after s
   const asked = answer(
     t, preparing, null, 503, null, { nonsense: 1 }, null, null, preparing, listed({ stream: "stream/hall" }),
   );
-  const found = await awaitStream(SCENE, () => true, async (milliseconds) => void waits.push(milliseconds));
+  const found = await awaitMore(SCENE, () => true, null, async (milliseconds) => void waits.push(milliseconds));
   assert.deepEqual(found, { ...SCENE, kind: "stream", url: "ws://a.example/stream/hall" });
   assert.equal(asked.length, 9);
-  assert.deepEqual(waits, [3000, 3000, 6000, 12_000, 24_000, 48_000, 60_000, 60_000, 3000]);
+  assert.deepEqual(waits, [1000, 1000, 2000, 4000, 8000, 16_000, 32_000, 60_000, 1000]);
 });
 
 test("a scene whose preparation has ended without a stream is not asked for again", async (t) => {
   const asked = answer(t, listed({ static: "scenes/hall/", preparing: false }));
-  assert.equal(await awaitStream(SCENE, () => true, async () => undefined), null);
+  assert.equal(await awaitMore(SCENE, () => true, null, async () => undefined), null);
   assert.equal(asked.length, 1);
+});
+
+test("a scene of which a sample is shown is asked for until the whole of it is there", async (t) => {
+  const sample = listed({ static: "scenes/hall/", preparing: true, gaussians: 100 });
+  const whole = listed({ static: "scenes/hall/", preparing: false, gaussians: 900 });
+  const asked = answer(t, sample, sample, whole);
+  const found = await awaitMore(SCENE, () => true, 100, async () => undefined);
+  assert.deepEqual(found, { ...SCENE, kind: "static", url: "http://a.example/scenes/hall/" });
+  assert.equal(asked.length, 3);
 });

@@ -5,7 +5,7 @@ import { permitOf, readAddress } from "./address.ts";
 import { make, meta } from "./dom.ts";
 import { messageOf } from "./messages.ts";
 import { Notices } from "./notice.ts";
-import { awaitStream, locate } from "./scene.ts";
+import { awaitMore, locate } from "./scene.ts";
 import { part } from "./parts.ts";
 import { ThemeChoice } from "./theme.ts";
 import { ViewPage } from "./view.ts";
@@ -39,10 +39,11 @@ if (page.scene) {
     ) : gsvis.staticSource(scene.url, takeEarly(scene.url))),
   };
   const { scene } = page, known = meta("streamed") && scene.kind === "stream"; // then there is nothing to ask
-  void (known ? Promise.resolve({ scene, preparing: false }) : locate(scene, permits)).then(({ scene, preparing }) => {
+  const located = known ? Promise.resolve({ scene, preparing: false, gaussians: null }) : locate(scene, permits);
+  void located.then(({ scene, preparing, gaussians }) => {
     const shown = new ViewPage(scene, page, core);
     if (parent !== window) void part("embed").then((embed) => embed(shown.stage, (meta("embedders") ?? "").split(" ")));
-    if (preparing) void awaitStream(scene, permits).then((stream) => stream && shown.change(stream));
+    if (preparing) void awaitMore(scene, permits, gaussians).then((more) => more && shown.change(more));
   });
 } else {
   const notices = new Notices({ retry: () => location.reload(), token: () => undefined });

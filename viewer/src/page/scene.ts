@@ -7,16 +7,17 @@ import { Facts } from "./facts.ts";
 import { fields, list } from "./json.ts";
 
 /**
- * Where a scene is read from, and whether its server prepares it for streaming meanwhile; `answered`: the server has
- * said so.
+ * Where a scene is read from, its number of Gaussians where that is known, and whether its server prepares it for
+ * streaming, or reads the whole of it, meanwhile; `answered`: the server has said so.
  */
 interface Located {
   scene: SceneAddress;
   preparing: boolean;
   answered: boolean;
+  gaussians: number | null;
 }
 
-const LOOK_MS = 3000; // between two questions whether a scene is prepared
+const LOOK_MS = 1000; // between two questions whether there is more of a scene
 const LONGEST_LOOK_MS = 60_000; // the same, of a server that does not answer
 
 /**
@@ -24,10 +25,12 @@ const LONGEST_LOOK_MS = 60_000; // the same, of a server that does not answer
  * only where the page may open it.
  */
 export async function locate(scene: SceneAddress, permits: Permit): Promise<Located> {
-  if (!scene.root) return { scene, preparing: false, answered: false };
+  if (!scene.root) return { scene, preparing: false, answered: false, gaussians: null };
   const listed = await ask(scene.root);
-  const rows = fields(listed)?.scenes, said = { preparing: false, answered: Array.isArray(rows) };
+  const rows = fields(listed)?.scenes;
   const row = list(rows).map(fields).find((each) => each?.name === scene.name);
+  const gaussians = typeof row?.gaussians === "number" ? row.gaussians : null;
+  const said = { preparing: false, answered: Array.isArray(rows), gaussians };
   const kind = typeof row?.stream === "string" ? "stream" : "static", path = row?.[kind];
   const url = typeof path === "string" ? resolve(path, scene.root, permits) : null;
   if (url === null) return { ...said, scene };
@@ -35,16 +38,22 @@ export async function locate(scene: SceneAddress, permits: Permit): Promise<Loca
   return { ...said, scene: { ...scene, kind, url }, preparing: row?.preparing === true };
 }
 
-/** Ask until the server has prepared a scene; return its stream, or null where none will come. */
-export async function awaitStream(
-  scene: SceneAddress, permits: Permit, sleep: (milliseconds: number) => Promise<void> = rest,
+/**
+ * Ask until the server has more of a scene than what is shown: its stream, or files of another number of Gaussians.
+ * Return null where neither will come.
+ */
+export async function awaitMore(
+  scene: SceneAddress, permits: Permit, shown: number | null = null,
+  sleep: (milliseconds: number) => Promise<void> = rest,
 ): Promise<SceneAddress | null> {
   for (let wait = LOOK_MS; ; ) {
     await sleep(wait);
     const now = await locate(scene, permits);
     wait = now.answered ? LOOK_MS : Math.min(2 * wait, LONGEST_LOOK_MS); // a question without an answer settles nothing
-    if (!now.answered || now.preparing) continue;
-    return now.scene.kind === "stream" ? now.scene : null;
+    if (!now.answered) continue;
+    const isWhole = shown !== null && now.gaussians !== null && now.gaussians !== shown;
+    if (now.scene.kind === "stream" || isWhole) return now.scene;
+    if (!now.preparing) return null;
   }
 }
 

@@ -92,7 +92,7 @@ export class ViewPage {
     this.#quality = new QualityChoice(page.quality, page.budget);
     this.#theme = new ThemeChoice(() => this.#showBackground());
     this.#notices = new Notices(
-      { retry: () => this.#restart(), token: (token) => this.#enter(token) },
+      { retry: () => this.#tryAgain(), token: (token) => this.#enter(token) },
     );
     this.#drive = new Drive({
       actions: this.#actions, moved: () => (this.#quality.move(true), this.#sendCamera(), void this.#learnWalls()),
@@ -222,13 +222,18 @@ export class ViewPage {
     this.#panel.fill(this.page.visitor ? null : header);
   }
 
+  /** Begin anew where a visitor asked for it, from a button that is gone then. */
+  #tryAgain(): void {
+    this.#restart();
+    this.#canvas.focus();
+  }
+
   #restart(): void {
     this.#source?.close();
     this.#viewer?.dispose();
     this.#viewer = null;
     this.#notices.clear();
     void this.#open();
-    this.#canvas.focus();
   }
 
   /** Try a token. A server of pages needs it for the scripts of Workers too: it makes a cookie of the one in an address. */
@@ -236,16 +241,16 @@ export class ViewPage {
     const query = new URLSearchParams(location.search);
     query.set("token", token);
     if (this.scene.root) location.search = `${query}`;
-    else ((this.#token = token), this.#restart());
+    else ((this.#token = token), this.#tryAgain());
   }
 
-  /** Show the same scene from elsewhere, such as a stream after it has been prepared; the view stays. */
+  /** Show the same scene from elsewhere: a stream after it has been prepared, or all of it after a sample; the view stays. */
   change(scene: SceneAddress): void {
     this.scene = scene;
     this.#facts = factsOf(scene);
     this.#ready = this.#prepare();
     this.#restart();
-    this.#notices.say(text("say.prepared"));
+    if (scene.kind === "stream") this.#notices.say(text("say.prepared"));
   }
 
   async #takeHeader(header: Header, source: Source): Promise<void> {
