@@ -14,7 +14,8 @@ __all__ = ["take_few_views"]
 
 @contextmanager
 def take_few_views() -> Iterator[None]:
-    """Give `PrepareConfig` one view by default and no learning of colors; what a caller passes counts."""
+    """Give `PrepareConfig` one view and one term by default and no learning of colors; what a caller passes counts."""
+    from gsvis.color.fit import FitConfig
     from gsvis.prepare import PrepareConfig
 
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
@@ -24,7 +25,9 @@ def take_few_views() -> Iterator[None]:
         before(self, *words, **{"cost_views": few, "fidelity_views": few, "level_held_out": 1, **named})
         if self.color_steps is None:
             object.__setattr__(self, "color_steps", 0)
-        object.__setattr__(self, "colors", replace(self.colors, views=few))
+        fit = self.colors.fit
+        fit = replace(fit, max_terms=1) if fit == FitConfig() else fit
+        object.__setattr__(self, "colors", replace(self.colors, fit=fit, views=few))
 
     with patch.object(PrepareConfig, "__init__", initialize):
         yield

@@ -1,4 +1,4 @@
-"""Run commands in one process in which some packages cannot be imported: `python blocked.py PACKAGE...`.
+"""Run commands in one process in which some packages cannot be imported: `python -m tests.cli.blocked PACKAGE...`.
 
 Reads a JSON list of commands, each a list of words, from standard input. Writes for each its exit code and what it said
 on stderr to standard output, as JSON.
@@ -52,7 +52,10 @@ def make_quick() -> None:
 
 
 def main() -> None:
-    sys.meta_path.insert(0, Blocked(sys.argv[1:]))
+    blocked = Blocked(sys.argv[1:])
+    early = blocked.packages & sys.modules.keys()
+    assert not early, f"imported before it was blocked, with the modules of commands: {sorted(early)}"
+    sys.meta_path.insert(0, blocked)
     make_quick()
     from gsvis._extras import has
     from gsvis.cli import main as run

@@ -7,7 +7,6 @@ command that works without any package needs none of them.
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -27,6 +26,7 @@ from gsvis.pvs.config import PvsConfig
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
+from tests import warm_start
 from tests.cli.test_docs import commands
 from tests.package.worlds import colors_of
 from tests.simulate.streets import walk
@@ -72,7 +72,8 @@ COMMANDS = {
     "world": ["world", "IN/rooms.ply", "-o", "OUT/a.gsworld"],
     "world --levels none": ["world", "IN/rooms.ply", "-o", "OUT/b.gsworld", "--levels", "none", "--cells", "1",
                             "--face-size", "16", "--limit", "0.05", "--workers", "1", "--tile", "5000"],
-    "world --dry-run": ["world", "IN/rooms.ply", "-o", "OUT/c.gsworld", "--levels", "none", "--dry-run"],
+    "world --dry-run": ["world", "IN/rooms.ply", "-o", "OUT/c.gsworld", "--levels", "none", "--dry-run", "--cells", "1",
+                        "--face-size", "16", "--limit", "0.05", "--workers", "1"],
     "verify": ["verify", "IN/rooms.gsvis"],
     "unpack": ["unpack", "IN/rooms.gsvis", "-o", "OUT/unpacked"],
     "export": ["export", "IN/rooms.gsvis", "-o", "OUT/site"],
@@ -124,13 +125,13 @@ def test_each_command_works_or_names_the_extra(blocked: tuple[str, ...], inputs:
         names += [name for name in COMMANDS if name not in names and name not in SLOW]
     places = {"IN": str(inputs), "OUT": str(tmp_path), "CLUSTER": CLUSTER}
     words = [[re.sub(r"^(IN|OUT|CLUSTER)\b", lambda m: places[m[0]], w) for w in COMMANDS[name]] for name in names]
-    ran = subprocess.run(
-        [sys.executable, str(ROOT / "tests" / "cli" / "blocked.py"), *blocked],
-        input=json.dumps(words), capture_output=True, text=True, check=False,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert ran.returncode == 0, ran.stderr
-    for name, (code, err) in zip(names, json.loads(ran.stdout), strict=True):
+    start = subprocess.Popen if blocked == BLOCKED["all of them"] else warm_start.Popen
+    command = [sys.executable, "-m", "tests.cli.blocked", *blocked]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with start(command, cwd=ROOT, text=True, **pipes) as ran:
+        out, err = ran.communicate(json.dumps(words))
+    assert ran.returncode == 0, err
+    for name, (code, err) in zip(names, json.loads(out), strict=True):
         package = needed(name, blocked)
         if package is None:
             assert code == 0, (name, err)

@@ -21,6 +21,7 @@ from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.procedural import two_rooms
+from tests import warm_start
 
 CONFIG = PvsConfig(size=24, limit=0.05, rays=128, max_inner=1)
 GUARD = 300.0  # seconds until a hang is a failure
@@ -29,7 +30,7 @@ QUIET = {**os.environ, "DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "critical"}
 
 def started(*words: str) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "distributed.cli." + words[0], *words[1:]]
-    return subprocess.Popen(command, env=QUIET, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return warm_start.Popen(command, env=QUIET, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 @pytest.fixture
