@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis._text import as_line
 from gsvis.scene.facts import SceneFacts
+from gsvis.scene.glance import stand_ins
 from gsvis.scene.procedural import BUILTIN_SCENES, CLEARANCE, BuiltinScene, builtin_scene
-from gsvis.scene.source import SOME, Source, enlarged
+from gsvis.scene.source import SOME, Source
 
 __all__ = ["BUILTIN", "check_source", "glance_at", "inputs_of", "is_builtin", "is_levels", "load_source", "title_of"]
 
@@ -24,6 +25,7 @@ BUILTIN = "builtin:"
 """What the name of a built-in scene starts with."""
 
 _TABLES = ("lod-meta.json", "meta.json")  # of a streamed SOG, of a SOG
+_POOL = 4  # rows that are read for each Gaussian of a glance
 _UNIT = 1e-3  # by which the length of a stored unit vector may be off
 
 
@@ -117,7 +119,7 @@ def load_source(scene: str, lod: int | None) -> Source:
 
 
 def glance_at(scene: str, least: int) -> tuple[Source, int] | None:
-    """Return a large scene with a sample of its Gaussians, enlarged, and the number of all; None if none is quick.
+    """Return a large scene with some Gaussians that stand for it, and the number of all; None if that is not quick.
 
     A file of many gigabytes takes a fraction of a second: of a binary PLY only some rows are read.
 
@@ -133,12 +135,12 @@ def glance_at(scene: str, least: int) -> tuple[Source, int] | None:
         return None
     from gsvis.io.ply import sample_ply
 
-    found = sample_ply(scene, SOME)
+    found = sample_ply(scene, min(least, _POOL * SOME))
     if found is None or found[1] < least:
         return None
-    some, count = found
-    known_up = None if some.facts.up is None else np.asarray(some.facts.up, np.float64)
-    return Source(title_of(scene), enlarged(some, count), Path(scene), known_up=known_up), count
+    sample, count = found
+    known_up = None if sample.facts.up is None else np.asarray(sample.facts.up, np.float64)
+    return Source(title_of(scene), stand_ins(sample, count, SOME), Path(scene), known_up=known_up), count
 
 
 def _builtin_facts(made: BuiltinScene) -> SceneFacts:

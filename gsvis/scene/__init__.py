@@ -11,6 +11,7 @@ _MODULES = (
     "facts",
     "flyaways",
     "gaussians",
+    "glance",
     "histograms",
     "icosphere",
     "in_sight",

@@ -20,7 +20,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.stated import stated_space
 from gsvis.scene.upright import find_up
 
-__all__ = ["SOME", "Source", "enlarged"]
+__all__ = ["SOME", "Source"]
 
 SOME = 100_000
 """Gaussians of a thin scene: enough to find where eyes may be and to draw a small view."""
@@ -85,7 +85,7 @@ class Source:
         most = most or SOME
         if len(g) > most:
             some = np.sort(np.random.default_rng(0).choice(len(g), most, replace=False))
-            g = enlarged(g[some], len(g))
+            g = replace(g[some], scales=g.scales[some] * np.float32(np.sqrt(len(g) / most)))
         return replace(self, gaussians=g, levels=None)
 
     def navigable(
@@ -123,8 +123,3 @@ class Source:
             space, _ = self.navigable(up=axis)
             if space is not None:
                 yield space
-
-
-def enlarged(sample: Gaussians, whole: int) -> Gaussians:
-    """Return a sample of a scene of `whole` Gaussians, enlarged so that their total area is that of the scene."""
-    return replace(sample, scales=sample.scales * np.float32(np.sqrt(whole / len(sample))))
