@@ -127,7 +127,7 @@ def _open(command: View, stack: ExitStack) -> _Opened:
         name = title_of(command.scene, source.lod)
         shown = StaticOptions(name, (x, y, z), poses=visit.starts, most_sets=None)
         write_static(folder, source.whole, shown, progress=status)
-        if visit.space is not None:
+        if visit.space is not None and glance is None:
             promise_walk(folder)
     remarks = list(visit.remarks)
     later: Later | None = None
