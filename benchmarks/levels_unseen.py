@@ -11,7 +11,8 @@ Measured: PSNR of these views against the full scene, mean and worst, all and by
 Defaults chosen on: massa and flowers (near views and their share, pairs instead of voxels, rates), and the price of
     color by views of massa, nika and flowers. That rooms have near views too was chosen on showroom, and how rates
     depend on the start on two rooms, gsplayer, massa, flowers, nika, relief and flat; that stand-ins last until the
-    first cut on nika, massa, relief, two rooms and trumpet. Guitar and biker chose nothing.
+    first cut on nika, massa, relief, two rooms and trumpet; eyes close by on massa and two rooms, and that rooms have
+    none on two rooms and flat. Guitar and biker chose nothing.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ from gsvis.scene.navigable import NavigableSpace
 __all__ = ["VERSIONS", "StageRecord", "Stages", "hash_levels"]
 
 VERSIONS = {
-    "levels": 9,
+    "levels": 10,
     "sets": 7,
     "joined": 4,
     "colors": 10,

@@ -3,6 +3,7 @@
 _MODULES = (
     "axes",
     "cameras",
+    "close_eyes",
     "content",
     "core",
     "corridor",

@@ -3,8 +3,9 @@
 Viewpoints of renders lie in navigable space, outside of solid parts. Views to measure on are independent of those to
 train on. Levels are chosen and trained by wide views: one costs little more than a narrow view and shows several times
 as much, so that few parts of a scene are seen by only a few cameras. Some look at detail from near (half of those to
-train by), wherever navigable space lies, so that a wrong space costs little. Scene frame; OpenCV cameras.
-docs/design/019-levels.md compares them.
+train by), wherever navigable space lies, so that a wrong space costs little. Outside of rooms a quarter of those to
+train by have eyes close to what stops light, where a large Gaussian that is right from afar covers the picture. Scene
+frame; OpenCV cameras. docs/design/019-levels.md and docs/design/141-eyes-close-by.md compare them.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from gsvis.progress import Progress, silent
 from gsvis.render.judges import find_judges
 from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.close_eyes import draw_close_eyes
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
@@ -28,6 +30,7 @@ from gsvis.train.photos import load_photos
 
 __all__ = [
     "CHOOSING",
+    "CLOSE",
     "NEAR",
     "NEAR_CHOOSING",
     "WIDE",
@@ -44,6 +47,10 @@ NEAR = 0.5
 NEAR_CHOOSING = 1.0 / 6.0
 """Share of views to choose by that look at detail from near: each gained there is lost where eyes may be."""
 
+CLOSE = 0.5
+"""Share of the other views to train by, outside of rooms, whose eyes are close to something: `draw_close_eyes`."""
+
+_CLOSE_STREAM = 5  # of the seed
 _OTHER_SEED = 1_000_003  # added to the seed of near views, whose rule also judges levels with other seeds
 _EVERY = 8  # one in this many photos is held out
 CHOOSING = 4
@@ -99,7 +106,7 @@ def draw_views(
         sampling: Size of held-out views, and the number of training views, which are smaller and wider. The next
             random stream gives the held-out views. The stream after it gives four times as many wide cameras for
             choosing Gaussians: a Gaussian that few of them see well is dropped first. `NEAR` and `NEAR_CHOOSING` of
-            them look at detail instead.
+            them look at detail instead, and `CLOSE` of the other training views, outside of rooms, have close eyes.
         held_out: Number of held-out cameras; 0 for none.
         progress: Called with stage "views".
 
@@ -113,7 +120,7 @@ def draw_views(
     found: list[PosedImages] = []
     to_train, to_choose = _near_cameras(g, sampling)
     places = [each.cameras(g, space) for each in asked]
-    places[0] = _mix(to_train, places[0])
+    places[0] = _mix(to_train, _mix(_close_cameras(g, space, sampling), places[0]))
     for cameras in places:
 
         def report(stage: str, done: int, of: int, before: int = sum(map(len, found))) -> None:
@@ -140,6 +147,18 @@ def _near_cameras(g: Gaussians, sampling: ViewSampling) -> tuple[Cameras, Camera
     asked = replace(views_to_train(sampling), count=count, fov=sampling.fov, seed=sampling.seed + _OTHER_SEED)
     near = find_judges(g, asked).cameras
     return near[:to_train], near[to_train:]
+
+
+def _close_cameras(g: Gaussians, space: NavigableSpace, sampling: ViewSampling) -> Cameras:
+    """Return cameras to train by whose eyes are close to what stops light; none in rooms, or where nothing does.
+
+    They are as narrow as held-out views. Rooms need all wide views: their mean fell with half of them.
+    """
+    small = views_to_train(sampling)
+    count = 0 if space.kind.kind == "rooms" else round(CLOSE * sampling.count)
+    rng = np.random.default_rng([sampling.seed, sampling.stream + _CLOSE_STREAM])
+    eyes = draw_close_eyes(g, space, count, rng)
+    return space.cameras_at(eyes, rng, width=small.width, height=small.height, fov=sampling.fov)
 
 
 def _mix(near: Cameras, anywhere: Cameras) -> Cameras:
