@@ -34,7 +34,7 @@ class ExactLevel(NamedTuple):
     """The highest level before rounding.
 
     Attributes:
-        gaussians: N Gaussians with their SH colors.
+        gaussians: N Gaussians with their SH colors; those that are not of the level have no opacity.
         colors: Their colors as base colors and terms.
     """
 

@@ -50,9 +50,8 @@ def measure_cost(
         raise ValueError(f"exact: expected colors of {len(levels.union):,} Gaussians, got {len(exact):,}")
     contents = rounded_contents(levels, colors, limits, order)
     member = levels.member(len(levels) - 1)
-    scenes = levels.union[member], contents.gaussians(np.flatnonzero(member))
-    shown = exact[member], contents.colors().dequantize()[member]
-    evaluators = [Evaluator(of) for of in shown]
+    scenes = [g.showing(member) for g in (levels.union.without_harmonics(), contents.gaussians())]
+    evaluators = [Evaluator(of) for of in (exact, contents.colors().dequantize())]
     found = []
     progress("cost", 0, len(cameras))
     for c in range(len(cameras)):

@@ -76,7 +76,7 @@ def run_fidelity(
                 stages.highest,
                 contents,
                 stages.config.fidelity_views.cameras(levels, stages.space),
-                exact=ExactLevel(levels.union[member], exact[member]),
+                exact=ExactLevel(levels.union.showing(member), exact),
                 sets=store,
                 active=terms,
                 progress=stages.progress,
