@@ -64,9 +64,10 @@ class PackageOrder:
         groups = np.append(np.flatnonzero(np.diff(keys, prepend=-2)), len(keys)).tolist()
         for low, high in pairwise(groups):
             cuts += [end for _, end in _split_parts(codes, low, high, _TOP)]
-        chunks = chunk_starts(union[order], cuts=cuts[1:-1], finest=_small_scale(union), lattices=lattices)
+        plain = union.without_harmonics()[order]
+        chunks = chunk_starts(plain, cuts=cuts[1:-1], finest=_small_scale(union), lattices=lattices)
         inside = np.repeat(np.arange(len(chunks)), np.diff(np.append(chunks, len(order))))
-        inner = np.lexsort((-_coverages(union)[order], inside))
+        inner = np.lexsort((-_coverages(plain), inside))
         return cls(order[inner], np.array(cuts, np.int64), chunks, lattices[inner])
 
     def sort(self, levels: Levels) -> Levels:
