@@ -6,7 +6,6 @@ Peripheral if not. It is Adjacent if only a neighboring cell sees it. Scene fram
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr.index import SceneIndex
-from gsvis.abr.predict import Pose, finite_vector
+from gsvis.abr.predict import Pose
 from gsvis.abr.rings import RINGS
 from gsvis.pvs.codec import ids_in
 
@@ -87,7 +86,14 @@ class FieldOfView:
 
     def frusta(self, poses: Sequence[Pose]) -> F32:
         """Return (F, 5, 4) float32, the planes of F poses; see `planes`."""
-        return np.array([self.planes(pose.position, pose.quat) for pose in poses], np.float32).reshape(-1, 5, 4)
+        turned_back = np.array([_turned_back(*pose.quat.tolist()) for pose in poses]).reshape(-1, 3, 3)
+        eyes = np.array([pose.position for pose in poses]).reshape(-1, 3, 1)
+        normals = self._normals @ turned_back
+        out = np.empty((len(poses), 5, 4), np.float32)
+        out[:, :, :3] = normals
+        out[:, :, 3] = -(normals @ eyes)[:, :, 0]
+        out[:, 4, 3] -= self.near
+        return out
 
     def planes(self, position: ArrayLike, quat: ArrayLike) -> F32:
         """Return the left, right, top, bottom and near plane, (5, 4) float32: a unit normal pointing inward, an offset.
@@ -96,26 +102,7 @@ class FieldOfView:
             position: (3,) eye, scene frame.
             quat: (4,) wxyz, world from camera, any length but 0.
         """
-        eye, (w, x, y, z) = finite_vector("position", position, 3), finite_vector("quat", quat, 4).tolist()
-        if not (length := math.hypot(w, x, y, z)) > 0:
-            raise ValueError("quat: expected a rotation, got a zero quaternion")
-        w = w / length
-        x = x / length
-        y = y / length
-        z = z / length
-        turn = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        out = np.empty((5, 4), np.float32)
-        normals = self._normals @ turn.T
-        out[:, :3] = normals
-        out[:, 3] = -normals @ eye
-        out[4, 3] -= self.near
-        return out
+        return np.asarray(self.frusta([Pose.from_arrays(position, quat)])[0])
 
     @cached_property
     def _normals(self) -> F64:
@@ -176,3 +163,12 @@ def classify(index: SceneIndex, cell: int, planes: ArrayLike) -> Classes:
     classes[ids] = np.where(inside, FOV, PERIPHERAL)
     distances[ids] = 0.0
     return Classes(classes, distances)
+
+
+def _turned_back(w: float, x: float, y: float, z: float) -> tuple[float, ...]:
+    """Return the nine elements of the matrix from world to camera, row by row, of a unit quaternion wxyz."""
+    return (
+        *(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+        *(2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
+        *(2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
+    )
