@@ -41,7 +41,9 @@ class Tips:
     """
 
     def __init__(self, voxels: FreeVoxels, viewpoints: F64, buries: Buries) -> None:
-        farthest = voxels.voxels[np.argmax(voxels.voxels @ _WAYS.T, axis=0)]  # of equal ones the first
+        x, y, z = np.ascontiguousarray(voxels.voxels.T)  # a product of matrices of integers is slow
+        first = [int((a * x + b * y + c * z).argmax()) for a, b, c in _WAYS.tolist()]
+        farthest = voxels.voxels[first]
         points = voxels.origin + voxels.voxel_size * (farthest + 0.5 + _OUT * _WAYS)
         self._points = points[~buries(points)]
         self._near = _NEAR * voxels.voxel_size
