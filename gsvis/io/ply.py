@@ -6,6 +6,7 @@ opacity (logit), scale_* (log), rot_* (wxyz). Other columns and elements are ski
 
 from __future__ import annotations
 
+import mmap
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -110,7 +111,8 @@ def sample_ply(path: str | os.PathLike[str], most: int) -> tuple[Gaussians, int]
         row, offset = header.rows_of(vertex)
         facts = _facts(header, vertex, columns, stream)
         places = np.linspace(0, vertex.count - 1, most).astype(np.int64)
-        found = np.memmap(stream, row, "r", offset, (vertex.count,))[places].tobytes()
+        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
+            found = np.ndarray((vertex.count,), row, mapped, offset)[places].tobytes()
         some = replace(header, elements=(replace(vertex, count=most, offset=0),))
         return _read(some, columns, facts, BytesIO(found)), vertex.count
 
