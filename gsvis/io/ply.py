@@ -101,17 +101,17 @@ def sample_ply(path: str | os.PathLike[str], most: int) -> tuple[Gaussians, int]
         FormatError: As `load_ply`; values of other rows are not checked.
         OSError: If it cannot be opened.
     """
-    with open_regular(path) as stream:
-        header = parse_header(path, stream, os.fstat(stream.fileno()).st_size)
+    with open_regular(path) as file:
+        header = parse_header(path, file, os.fstat(file.fileno()).st_size)
         if header.encoding == "ascii" or is_compressed(header):
             return None
         vertex, columns = _find(header)
         if vertex.count <= most:
             return None
         row, offset = header.rows_of(vertex)
-        facts = _facts(header, vertex, columns, stream)
+        facts = _facts(header, vertex, columns, file)
         places = np.linspace(0, vertex.count - 1, most).astype(np.int64)
-        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
             found = np.ndarray((vertex.count,), row, mapped, offset)[places].tobytes()
         some = replace(header, elements=(replace(vertex, count=most, offset=0),))
         return _read(some, columns, facts, BytesIO(found)), vertex.count
