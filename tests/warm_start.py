@@ -38,6 +38,7 @@ _ROOT = Path(__file__).parents[1]
 _BEGAN = {**os.environ, "OPENBLAS_THREAD_TIMEOUT": "4"}  # `gsvis` sets that one before it imports anything large
 _FREE = {"BROWSER", "DASK_DISTRIBUTED__LOGGING__DISTRIBUTED", "GSVIS_CHILD", "GSVIS_DEBUG", "GSVIS_TOKEN"}
 _FREE |= {"OPENBLAS_THREAD_TIMEOUT", "PYTEST_CURRENT_TEST", "PYTHONWARNINGS", "TCM_ENABLE", "TERM", "TMPDIR"}
+_FREE |= {"TORCHINDUCTOR_CACHE_DIR"}  # torch sets it, in a worker that has trained
 """Variables that may differ from those of the warm process: nothing keeps what they say while it imports."""
 
 _ADOPT = 36  # PR_SET_CHILD_SUBREAPER: processes whose parent ends become children of this one
