@@ -82,8 +82,7 @@ def measure(g: Gaussians) -> dict[str, Any]:
     row: dict[str, Any] = {"gaussians": len(g), "share": about.share, "held out": about.as_dict()["psnr"]}
     for name, cameras in (("other seed", OTHER.cameras(g, space)), ("around detail", find_judges(g, OTHER).cameras)):
         judges = ColorMeasure(g, every, cameras)
-        measured = {"fitted": judges.psnr_of(colors), "whole": judges.psnr_of(whole)}
-        measured["kept"] = measured["whole"] if about.share == 1.0 else judges.psnr_of(kept)
+        measured = dict(zip(("fitted", "whole", "kept"), judges.psnr_of(colors, whole, kept), strict=True))
         row[name] = {each: spread(values) for each, values in measured.items()}
         row[name]["views"] = len(cameras)
         row[name]["most lost by a view"] = {

@@ -6,18 +6,20 @@ are those of the records themselves, before entropy coding. Nothing here writes 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis._kernels.threads import one_thread
 from gsvis.color import grids as _grids
 from gsvis.color._kernels import records as kernels
 from gsvis.color.srbf import MAX_DECAY, SrbfColors, spherical_coordinates, unit_vectors
 from gsvis.color.variants import Variant, variant
+from gsvis.jobs.in_order import in_order
 
 __all__ = [
     "PRECISIONS",
@@ -34,6 +36,11 @@ __all__ = [
 F32 = NDArray[np.float32]
 U16 = NDArray[np.uint16]
 Range = tuple[float, float]
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+_PART = 1 << 16  # Gaussians whose terms a thread rounds at a time; bounds memory
 
 INTENSITY_FLOOR = 0.1
 """Size of an intensity above which its steps grow with it."""
@@ -314,16 +321,19 @@ def quantize(
             base[:, k] = _around(colors.base[:, 0], 0.0, 1.0, 1 << g.precision.base)
         else:
             base[:, k] = _grids.nearest(colors.base[:, k], g.base_table(k))
-    centers, decays = _round_lobes(colors, g)
-    values = colors.intensities.astype(np.float64)
+    parts = [colors[start : start + _PART] for start in range(0, len(colors), _PART)] or [colors]
+    lobes = _for_each(lambda part: _round_lobes(part, g), parts)
+    values = [part.intensities.astype(np.float64) for part in parts]
     if refit:
-        lobes = _lobes(_centers_of(centers, g), g.decay_table()[decays])
-        values = _project(colors, lobes)
+        values = _for_each(lambda pair: _project(pair[0], _lobes_of(pair[1], g)), zip(parts, lobes, strict=True))
         if grids is None:
-            g = replace(g, intensity=_largest(values))
-        intensities = _round_jointly(colors, lobes, values, g)
+            g = replace(g, intensity=max(map(_largest, values)))
+        rows = zip(parts, lobes, values, strict=True)
+        places = _for_each(lambda row: _round_jointly(row[0], _lobes_of(row[1], g), row[2], g), rows)
     else:
-        intensities = _grids.nearest(values, g.intensity_table())
+        places = [_grids.nearest(each, g.intensity_table()) for each in values]
+    centers, decays = (np.concatenate(column) for column in zip(*lobes, strict=True))
+    intensities = np.concatenate(places)
     scales = _grids.nearest(colors.scales, g.scale_table()) if has_scales(kind) else np.zeros(0, np.uint16)
     return QuantizedColors(g, base, scales, colors.offsets, colors.functions, centers, decays, intensities)
 
@@ -428,6 +438,17 @@ def _check_covers(own: Grids, given: Grids) -> None:
             raise ValueError(f"{name}: expected within [{least:g}, {most:g}], got {low:g} to {high:g}; use wider grids")
 
 
+def _for_each(function: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
+    """Return function(item) for each item, found in several threads with one thread of kernels each."""
+
+    def alone(item: _Item) -> _Result:
+        """Return one result."""
+        with one_thread():
+            return function(item)
+
+    return list(in_order(alone, items))
+
+
 def _around(values: NDArray[np.floating[Any]], low: float, turn: float, count: int) -> U16:
     """Return the indices of values on a circle of `count` even steps."""
     steps = np.rint((values.astype(np.float64) - low) * (count / turn))
@@ -446,6 +467,12 @@ def _round_lobes(colors: SrbfColors, g: Grids) -> tuple[U16, U16]:
 def _centers_of(places: U16, g: Grids) -> F32:
     """Return (T, 2) angles of rounded centers."""
     return np.stack([g.theta_table()[places[:, 0]], g.phi_table()[places[:, 1]]], axis=1)
+
+
+def _lobes_of(places: tuple[U16, U16], g: Grids) -> NDArray[np.float64]:
+    """Return (T, 4) decay times center, and decay, of rounded lobes."""
+    centers, decays = places
+    return _lobes(_centers_of(centers, g), g.decay_table()[decays])
 
 
 def _lobes(centers: F32, decays: F32) -> NDArray[np.float64]:

@@ -179,7 +179,8 @@ class SrbfColors:
         """Select the colors of Gaussians by a slice, a mask, an index array, or one integer."""
         if isinstance(index, int | np.integer):
             index = np.asarray([index])
-        chosen = np.arange(len(self))[index]
+        is_slice = isinstance(index, slice)
+        chosen = np.arange(*index.indices(len(self))) if is_slice else np.arange(len(self))[index]
         counts = self.counts[chosen]
         offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
         terms = np.arange(offsets[-1]) + np.repeat(self.offsets[chosen] - offsets[:-1], counts)

@@ -237,16 +237,14 @@ def learn_lesson(
     drawn: dict[str, SrbfColors | None] = {} if lesson.named == "renders" else {"sh": None}
     drawn |= {"fitted": colors, "learned": learned}
     measure = ColorMeasure(g, whole, lesson.held_out)
-    progress("measure", 0, len(drawn))
-    for done, (name, each) in enumerate(drawn.items(), 1):
-        about.psnr[name] = measure.psnr_of(None if each is None else to_records(each))
-        progress("measure", done, len(drawn))
+    tried = [None if each is None else to_records(each) for each in drawn.values()]
+    about.psnr.update(zip(drawn, measure.psnr_of(*tried, progress=progress), strict=True))
     if lesson.named != "renders" or about.helps:
         return learned, about
     for share in _SHARES:
         blended = blend_colors(colors, learned, share)
-        tried = {"fitted": about.psnr["fitted"], "learned": measure.psnr_of(to_records(blended))}
-        less = replace(about, psnr=tried, share=share)
+        (found,) = measure.psnr_of(to_records(blended))
+        less = replace(about, psnr={"fitted": about.psnr["fitted"], "learned": found}, share=share)
         if less.helps:
             return blended, less
     return colors, replace(about, share=0.0)
@@ -267,18 +265,25 @@ class ColorMeasure:
         self._drawn = g.without_harmonics()[shown]
         self._views = views
 
-    def psnr_of(self, colors: SrbfColors | None) -> F64:
-        """Return (C,) dB of drawn views against their images, both clipped to [0, 1]; colors None means SH."""
+    def psnr_of(self, *tried: SrbfColors | None, progress: Progress = silent) -> tuple[F64, ...]:
+        """Return (C,) dB of drawn views against their images, both clipped to [0, 1], for each of some colors.
+
+        Args:
+            tried: Colors of the Gaussians; None means SH.
+            progress: Called with stage "measure", in views.
+        """
         views = self._views
         cameras = views if isinstance(views, Cameras) else views.cameras
-        found = np.empty(len(views))
-        evaluator = None if colors is None else Evaluator(colors)
+        evaluators = [None if colors is None else Evaluator(colors) for colors in tried]
+        found = np.empty((len(tried), len(views)))
+        progress("measure", 0, len(views))
         for c in range(len(views)):
             seen = FixedView(self._drawn, cameras[c])
             ids = self._ids[seen.ids]
             own = seen_sh_colors(self._scene, ids, seen.eye)
-            shades = own if evaluator is None else evaluator.colors(self._scene.means, seen.eye, ids=ids)
-            image = seen.image(shades)
-            wanted = seen.image(own) if isinstance(views, Cameras) else views.image(c)
-            found[c] = min(float(psnr(np.clip(image, 0.0, 1.0), np.clip(wanted, 0.0, 1.0))), MOST_PSNR)
-        return found
+            wanted = np.clip(seen.image(own) if isinstance(views, Cameras) else views.image(c), 0.0, 1.0)
+            for k, evaluator in enumerate(evaluators):
+                shades = own if evaluator is None else evaluator.colors(self._scene.means, seen.eye, ids=ids)
+                found[k, c] = min(float(psnr(np.clip(seen.image(shades), 0.0, 1.0), wanted)), MOST_PSNR)
+            progress("measure", c + 1, len(views))
+        return tuple(found)

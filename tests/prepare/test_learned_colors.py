@@ -41,8 +41,8 @@ def learn(
         def __init__(self, *_: object) -> None:
             pass
 
-        def psnr_of(self, colors: SrbfColors | None) -> np.ndarray[Any, Any]:
-            return np.array(psnr_of(0.0 if colors is None else float(colors.base[0, 0])))
+        def psnr_of(self, *tried: SrbfColors | None, **_: Any) -> tuple[np.ndarray[Any, Any], ...]:
+            return tuple(np.array(psnr_of(0.0 if each is None else float(each.base[0, 0]))) for each in tried)
 
     learned = replace(FITTED, base=np.ones((1, 3), np.float32))
     monkeypatch.setattr(gsvis.train.colors, "learn_colors", lambda *_, **__: learned)
