@@ -223,6 +223,7 @@ PAGES = {
             "viewer_bytes",
             "viewer_draw",
             "splat_budget",
+            "view_large",
             "static_seconds",
             "static_seconds_quiet",
             "static_seconds_glances",
