@@ -154,9 +154,10 @@ def _show_all(command: View, folder: Path, shown: StaticOptions, space: Navigabl
         if space is not None:
             promise_walk(folder)
         scenes.replace(open_scene(folder, name, max_cache_bytes=_CACHE))
-    except (GsvisError, OSError) as error:
+    except (GsvisError, OSError, MemoryError) as error:
         scenes[name].preparing = False
-        say(f"{shown_name(command.scene)} is shown in part: {error}")
+        why = "the memory does not suffice for all of it" if isinstance(error, MemoryError) else error
+        say(f"{shown_name(command.scene)} is shown in part: {why}")
         return
     if space is not None:
         _write_walk(folder, source.gaussians, space, scenes)

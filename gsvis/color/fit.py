@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis._kernels.threads import one_thread
 from gsvis.color._assemble import Terms, assemble
 from gsvis.color._prices import MOST_FITS, Curves, Prices, find_prices
 from gsvis.color._pursuit import Pursuit, SplitFit
@@ -206,10 +205,9 @@ def fit_srbf(
 
     def fit_part(part: slice) -> tuple[Terms, int]:
         """Return the terms of some Gaussians, and how many of them are not seen."""
-        with one_thread():
-            weights = weigh(np.arange(part.start, part.stop))
-            fitted = _fit(pursuit, g[part], weights, counts[part], prices.term)
-            return assemble(config, fitted, pursuit.directions), int((weights.max(axis=1) <= 0.0).sum())
+        weights = weigh(np.arange(part.start, part.stop))
+        fitted = _fit(pursuit, g[part], weights, counts[part], prices.term)
+        return assemble(config, fitted, pursuit.directions), int((weights.max(axis=1) <= 0.0).sum())
 
     parts = [slice(start, min(start + _CHUNK, n)) for start in range(0, n, _CHUNK)]
     for part, (found, hidden) in zip(parts, in_order(fit_part, parts), strict=True):

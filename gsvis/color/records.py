@@ -6,15 +6,14 @@ are those of the records themselves, before entropy coding. Nothing here writes 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis._kernels.threads import one_thread
 from gsvis.color import grids as _grids
 from gsvis.color._kernels import records as kernels
 from gsvis.color.srbf import MAX_DECAY, SrbfColors, spherical_coordinates, unit_vectors
@@ -36,9 +35,6 @@ __all__ = [
 F32 = NDArray[np.float32]
 U16 = NDArray[np.uint16]
 Range = tuple[float, float]
-
-_Item = TypeVar("_Item")
-_Result = TypeVar("_Result")
 
 _PART = 1 << 16  # Gaussians whose terms a thread rounds at a time; bounds memory
 
@@ -322,14 +318,15 @@ def quantize(
         else:
             base[:, k] = _grids.nearest(colors.base[:, k], g.base_table(k))
     parts = [colors[start : start + _PART] for start in range(0, len(colors), _PART)] or [colors]
-    lobes = _for_each(lambda part: _round_lobes(part, g), parts)
+    lobes = list(in_order(lambda part: _round_lobes(part, g), parts))
     values = [part.intensities.astype(np.float64) for part in parts]
     if refit:
-        values = _for_each(lambda pair: _project(pair[0], _lobes_of(pair[1], g)), zip(parts, lobes, strict=True))
+        pairs = zip(parts, lobes, strict=True)
+        values = list(in_order(lambda pair: _project(pair[0], _lobes_of(pair[1], g)), pairs))
         if grids is None:
             g = replace(g, intensity=max(map(_largest, values)))
         rows = zip(parts, lobes, values, strict=True)
-        places = _for_each(lambda row: _round_jointly(row[0], _lobes_of(row[1], g), row[2], g), rows)
+        places = list(in_order(lambda row: _round_jointly(row[0], _lobes_of(row[1], g), row[2], g), rows))
     else:
         places = [_grids.nearest(each, g.intensity_table()) for each in values]
     centers, decays = (np.concatenate(column) for column in zip(*lobes, strict=True))
@@ -436,17 +433,6 @@ def _check_covers(own: Grids, given: Grids) -> None:
     for name, (low, high), (least, most) in pairs:
         if low < least or high > most:
             raise ValueError(f"{name}: expected within [{least:g}, {most:g}], got {low:g} to {high:g}; use wider grids")
-
-
-def _for_each(function: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
-    """Return function(item) for each item, found in several threads with one thread of kernels each."""
-
-    def alone(item: _Item) -> _Result:
-        """Return one result."""
-        with one_thread():
-            return function(item)
-
-    return list(in_order(alone, items))
 
 
 def _around(values: NDArray[np.floating[Any]], low: float, turn: float, count: int) -> U16:

@@ -131,16 +131,17 @@ def glance_at(scene: str, least: int) -> tuple[Source, int] | None:
         FormatError: If the file is damaged where it was read.
         OSError: If it cannot be opened.
     """
-    if is_builtin(scene) or Path(scene).suffix.lower() != ".ply":
+    path = Path(scene)
+    if is_builtin(scene) or path.suffix.lower() != ".ply" or path.is_dir():
         return None
     from gsvis.io.ply import sample_ply
 
     found = sample_ply(scene, min(least, _POOL * SOME))
-    if found is None or found[1] < least:
+    if found is None or found[1] < least or len(found[0]) == 0:
         return None
     sample, count = found
     known_up = None if sample.facts.up is None else np.asarray(sample.facts.up, np.float64)
-    return Source(title_of(scene), stand_ins(sample, count, SOME), Path(scene), known_up=known_up), count
+    return Source(title_of(scene), stand_ins(sample, count, SOME), path, known_up=known_up), count
 
 
 def _builtin_facts(made: BuiltinScene) -> SceneFacts:

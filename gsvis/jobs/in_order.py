@@ -9,6 +9,8 @@ from typing import TypeVar
 
 from numba import get_num_threads
 
+from gsvis._kernels.threads import one_thread
+
 __all__ = ["in_order"]
 
 _Item = TypeVar("_Item")
@@ -18,18 +20,24 @@ _Result = TypeVar("_Result")
 def in_order(function: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:
     """Yield function(item) for each item, in order. Items are taken in the caller's thread, a few ahead.
 
-    Threads are as many as those of kernels. So this pays where a function spends its time in kernels or compression,
-    which hold no lock of Python.
+    Threads are as many as those of kernels, and kernels that a function calls have one thread each. So this pays where
+    a function spends its time in kernels or compression, which hold no lock of Python.
 
     Args:
         function: Called in other threads, for several items at the same time.
         items: Anything; at most one item more than there are threads waits.
     """
     threads = get_num_threads()
+
+    def alone(item: _Item) -> _Result:
+        """Return the result of an item."""
+        with one_thread():
+            return function(item)
+
     waiting: deque[Future[_Result]] = deque()
     with ThreadPoolExecutor(threads, thread_name_prefix="gsvis-order") as pool:
         for item in items:
-            waiting.append(pool.submit(function, item))
+            waiting.append(pool.submit(alone, item))
             if len(waiting) > threads:
                 yield waiting.popleft().result()
         while waiting:

@@ -114,8 +114,8 @@ def prepare_package(
         about: JSON values to store in the provenance of the package.
         workers: The workers that build visible sets; None means this process.
         progress: Called with the stages "order", or "views" or "photos", "prune", "train NAME" and "measure"; then with
-            "cells", "store", "importance", "price", "fit", "learn", "epsilon", "rounding", "cost",
-            "fidelity", "judge", "fill", "terms" and "package".
+            "structure", "viewpoints", "cells", "check", "store", "importance", "price", "fit", "learn", "epsilon",
+            "rounding", "cost", "fidelity", "judge", "fill", "terms" and "package".
 
     Returns:
         The manifest of the package, and what each stage did.

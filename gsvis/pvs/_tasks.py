@@ -23,6 +23,7 @@ from gsvis.files.shelf import Shelved
 from gsvis.jobs.crew import Crew
 from gsvis.jobs.freed_memory import release_freed_memory
 from gsvis.jobs.processes import limit_threads, one_at_a_time, ready
+from gsvis.progress import Progress, silent
 from gsvis.pvs._journal import pack_sighting, pack_view, unpack_sighting
 from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.config import PvsConfig
@@ -72,10 +73,11 @@ class SceneArrays:
         return cls(key, arrays | {name: getattr(levels, name) for name in _MEMBERSHIP}, config)
 
     @contextmanager
-    def stored(self, folder: Path) -> Iterator[SceneArrays]:
+    def stored(self, folder: Path, progress: Progress = silent) -> Iterator[SceneArrays]:
         """Yield the scene with its arrays, and its prepared levels, in files of `folder`.
 
-        All processes of a machine map and share the files. The folder is removed at the end of the block.
+        All processes of a machine map and share the files. The folder is removed at the end of the block. `progress` is
+        called with stage "structure".
         """
         assert isinstance(self.source, dict)
         try:
@@ -83,7 +85,7 @@ class SceneArrays:
                 folder.mkdir(parents=True, exist_ok=True)
                 for name, array in self.source.items():
                     (folder / f"{name}.bin").write_bytes(np.ascontiguousarray(array).data)
-                made = PreparedLevels(_levels_of(self.source), self.config).shelve(folder)
+                made = PreparedLevels(_levels_of(self.source), self.config).shelve(folder, progress)
             yield SceneArrays(self.key, folder, self.config, made=made)
         finally:
             shutil.rmtree(folder, ignore_errors=True)

@@ -158,7 +158,7 @@ def build_pvs(
         workers: The workers; None means this process.
         one_level: Whether this process, if it does the work, keeps looks and tracers of one level in memory, and those
             of the others in files beside the target. Changes no byte of the store.
-        progress: Called with stages "viewpoints", "cells", "check" and "store".
+        progress: Called with stages "structure" (with several processes), "viewpoints", "cells", "check" and "store".
 
     Returns:
         The open store.
@@ -180,7 +180,7 @@ def build_pvs(
             looks = sorted(needed - set(seen))
             total = len(work.shared)
             count = min(count, max(len(looks), len(cells), 1))
-            with _prepare_scene(work, workers, count, one_level) as scene:
+            with _prepare_scene(work, workers, count, one_level, progress) as scene:
                 with _begin_work(scene, workers, count) as run:
                     sightings = run(looks, work.viewpoint_task)
                     _keep(work, sightings, name_viewpoint, ("viewpoints", total - len(looks), total), progress)
@@ -267,13 +267,15 @@ def _keep(
 
 
 @contextmanager
-def _prepare_scene(work: Work, workers: Workers, count: int, one_level: bool) -> Iterator[SceneArrays]:
+def _prepare_scene(
+    work: Work, workers: Workers, count: int, one_level: bool, progress: Progress
+) -> Iterator[SceneArrays]:
     """Yield the scene for `count` processes or other workers; what is prepared is released at the end of the block."""
     shelf = work.kept.folder / "levels"
     here = workers.executor is None
     try:
         if here and count > 1:
-            with work.scene.stored(work.kept.folder / "scene") as stored:
+            with work.scene.stored(work.kept.folder / "scene", progress) as stored:
                 yield stored
         else:
             yield replace(work.scene, shelf=shelf) if here and one_level else work.scene

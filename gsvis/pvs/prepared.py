@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.files.shelf import Shelf, Shelved, shelve
+from gsvis.progress import Progress, silent
 from gsvis.pvs.certificate import Certifier
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.look import Look
@@ -78,17 +79,23 @@ class PreparedLevels:
             self._ready[level] = self._prepare(level)
         return self._ready[level]
 
-    def shelve(self, folder: Path) -> tuple[Shelved[PreparedLevel], ...]:
+    def shelve(self, folder: Path, progress: Progress = silent) -> tuple[Shelved[PreparedLevel], ...]:
         """Write all levels to files of a folder, which processes share; memory holds one level at a time.
+
+        Args:
+            folder: The folder.
+            progress: Called with stage "structure", in levels.
 
         Raises:
             OutputError: If a file cannot be written.
         """
         shelved = []
         for level in range(len(self._levels)):
+            progress("structure", level, len(self._levels))
             prepared = self._prepare(level)
             _ = prepared.certifier.tracer.hierarchy  # it is to lie in the file too
             shelved.append(shelve(prepared, folder / f"level_{level}.arrays"))
+        progress("structure", len(self._levels), len(self._levels))
         return tuple(shelved)
 
     def _prepare(self, level: int) -> PreparedLevel:

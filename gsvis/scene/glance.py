@@ -12,6 +12,7 @@ __all__ = ["stand_ins"]
 
 _SEED = 0
 _ROUNDS = 20  # of the search for the factor at which as many as wanted are chosen
+_LEAST = 1e-12  # area that counts, over the largest
 _MOST_GROWTH = 3.0  # of a chosen one, over what an even sample would grow by
 
 
@@ -23,12 +24,13 @@ def stand_ins(sample: Gaussians, whole: int, most: int) -> Gaussians:
     stay, and small ones are thinned.
 
     Args:
-        sample: An even sample of the scene.
+        sample: An even sample of the scene, not empty.
         whole: Number of Gaussians of the scene.
         most: Wanted number, at least 1; fewer are chosen where the sample has fewer.
     """
     areas = np.sort(sample.scales.astype(np.float64), axis=1)[:, 1:].prod(axis=1) * sample.opacities
-    areas = np.maximum(areas, 1e-12 * max(float(areas.max(initial=0.0)), 1e-300))
+    largest = float(areas.max(initial=0.0))
+    areas = np.maximum(areas / largest, _LEAST) if largest > 0.0 else np.ones(len(sample))
     factor = most / float(areas.sum())
     for _ in range(_ROUNDS):
         factor *= most / float(np.minimum(1.0, factor * areas).sum())
@@ -37,4 +39,5 @@ def stand_ins(sample: Gaussians, whole: int, most: int) -> Gaussians:
     growth = np.sqrt(whole / len(sample) / chances[chosen])
     growth = np.minimum(growth, _MOST_GROWTH * np.sqrt(whole / min(most, len(sample))))
     some = sample[chosen]
-    return replace(some, scales=some.scales * growth[:, None].astype(np.float32))
+    scales = np.minimum(some.scales * growth[:, None], np.finfo(np.float32).max)
+    return replace(some, scales=scales.astype(np.float32))

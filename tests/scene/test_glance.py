@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gsvis.scene.gaussians import Gaussians
@@ -42,3 +44,11 @@ def test_fewer_than_wanted_are_all_of_the_sample() -> None:
     found = stand_ins(part, 400, 1000)
     assert len(found) == 100
     assert np.allclose(found.scales, 2.0 * part.scales)
+
+
+def test_what_nobody_sees_and_what_is_huge_stand_for_themselves() -> None:
+    part = specks(100)
+    unseen = replace(part, opacities=np.zeros(100, np.float32))
+    assert len(stand_ins(unseen, 400, 1000)) == 100
+    huge = replace(part, scales=np.full((100, 3), np.finfo(np.float32).max))
+    assert np.isfinite(stand_ins(huge, 40_000, 10).scales).all()
