@@ -113,8 +113,8 @@ class TrainConfig:
 def decisive_options(config: Any) -> dict[str, Any]:
     """Return the options that decide a result, as plain values for keys and records: the backend is always "auto".
 
-    Results of two devices differ by rounding alone, and either is accepted. So a run that began on one device resumes on
-    another.
+    Results of two devices differ by rounding alone, and either is accepted. So a run that began on one device resumes
+    on another.
 
     Args:
         config: A dataclass with a field `backend`, such as `TrainConfig`.
