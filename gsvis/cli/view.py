@@ -114,6 +114,7 @@ def _open(command: View, stack: ExitStack) -> _Opened:
     from gsvis.export.later_walk import promise_walk
     from gsvis.export.static import StaticOptions, write_static
     from gsvis.io.sources import check_source, glance_at, title_of
+    from gsvis.serve.server import is_loopback
 
     walk = _check_scene(command)
     with Status() as status:
@@ -125,7 +126,8 @@ def _open(command: View, stack: ExitStack) -> _Opened:
         command = replace(command, where=where)
         x, y, z = visit.up.tolist()
         name = title_of(command.scene, source.lod)
-        shown = StaticOptions(name, (x, y, z), poses=visit.starts, most_sets=None)
+        near = is_loopback(command.host)
+        shown = StaticOptions(name, (x, y, z), poses=visit.starts, most_sets=None, is_near=near)
         write_static(folder, source.whole, shown, progress=status)
         if visit.space is not None and glance is None:
             promise_walk(folder)

@@ -43,12 +43,14 @@ class BareScene:
     palette: Palette | None
 
 
-def encode_scene(scene: Levels | Gaussians, most_sets: int | None = None) -> BareScene:
+def encode_scene(scene: Levels | Gaussians, most_sets: int | None = None, *, in_space: bool = False) -> BareScene:
     """Return the records of a scene, or of its highest level.
 
     Args:
         scene: Gaussians or levels.
         most_sets: Largest number of sets of higher coefficients; None gives each Gaussian its own.
+        in_space: Keep the sets in the order of the Gaussians, where each has its own; by default in that of their
+            worth.
 
     Raises:
         ValueError: If it is empty.
@@ -59,8 +61,7 @@ def encode_scene(scene: Levels | Gaussians, most_sets: int | None = None) -> Bar
     levels = Levels.single(union)
     order = PackageOrder.from_levels(levels)
     ids = order.permutation
-    some = union[ids]
-    g = Gaussians(some.means, some.quats, some.scales, some.opacities, some.sh0, facts=union.facts)
+    g = union.without_harmonics()[ids]
     layout = RecordLayout.from_variant("rgb")
     table = build_chunks(g, layout, starts=order.chunks, lattices=order.lattices)
     grids, places = _base_colors(g.sh0[:, 0])
@@ -78,7 +79,10 @@ def encode_scene(scene: Levels | Gaussians, most_sets: int | None = None) -> Bar
     if not union.sh_degree:
         return BareScene(contents, None, None)
     ranges = Harmonics.from_coefficients(union.shN, union.sh_degree)
-    palette = Palette.from_scene(some.shN, areas_of(g) * g.opacities, ranges, most_sets)
+    lights = areas_of(g) * g.opacities
+    if in_space and most_sets is None:
+        return BareScene(contents, ranges, Palette.of_each(union.shN, ids, lights, ranges))
+    palette = Palette.from_scene(union.shN[ids], lights, ranges, most_sets)
     return BareScene(contents, ranges, palette)
 
 

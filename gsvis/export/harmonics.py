@@ -14,11 +14,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.export.columns import compress
+from gsvis.export.columns import MOST_EFFORT, compress
 from gsvis.io.quantize import distinct_rows, palette_of
 from gsvis.jobs.in_order import in_order
 
-__all__ = ["BLOCK", "Harmonics", "Palette", "label_bytes"]
+__all__ = ["BLOCK", "LARGE_BLOCK", "Harmonics", "Palette", "label_bytes"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -30,7 +30,10 @@ ZERO = 128
 """The byte that stands for 0."""
 
 BLOCK = 1024
-"""Sets in a file."""
+"""Sets in a file, unless `scene.json` states another number."""
+
+LARGE_BLOCK = 16384
+"""Sets in a file where each Gaussian has its own, and the page is on the same machine."""
 
 _SAMPLE = 1 << 16  # Gaussians from which the ends of coefficients are found
 _TAIL = 2e-4  # share of these that lie beyond the ends
@@ -92,15 +95,33 @@ class Palette:
     Attributes:
         sets: (E, 3 K) bytes, blocks of most worth first.
         labels: (N,) the set of each Gaussian.
-        worth: (B,) what each block of `BLOCK` sets is worth: the mean squared change of color over directions and
+        worth: (B,) what each block of sets is worth: the mean squared change of color over directions and
             channels, each Gaussian counted by its share of the light of all.
         error: Change of color by sharing, root mean square over Gaussians, directions and channels; 1 is white.
+        block: Sets in a block.
     """
 
     sets: U8
     labels: I64
     worth: F64
     error: float
+    block: int = BLOCK
+
+    @classmethod
+    def of_each(cls, coefficients: F32, order: I64, lights: F64, ranges: Harmonics) -> Palette:
+        """Return a set for each of N Gaussians, in their order: nothing is sorted by its worth.
+
+        Args:
+            coefficients: (N, K, 3), in another order.
+            order: (N,) place of each Gaussian in `coefficients`.
+            lights: (N,) how much each Gaussian counts.
+            ranges: Ranges of the coefficients.
+        """
+        shares = lights / max(float(lights.sum()), 1e-300)
+        worth = shares * _energies(coefficients)[order]
+        starts = np.arange(0, len(order), LARGE_BLOCK)
+        sets = ranges.encode(coefficients)[order]
+        return cls(sets, np.arange(len(order)), np.add.reduceat(worth, starts), 0.0, LARGE_BLOCK)
 
     @classmethod
     def from_scene(cls, coefficients: F32, lights: F64, ranges: Harmonics, most: int | None) -> Palette:
@@ -127,21 +148,21 @@ class Palette:
         worth = np.bincount(labels, shares * _energies(coefficients), minlength=len(sets))
         order = np.argsort(-worth, kind="stable")
         if most is not None:
-            order = np.concatenate([some[_chain(sets[some])] for some in _in_blocks(order)])
+            order = np.concatenate([some[_chain(sets[some])] for some in _in_blocks(order, BLOCK)])
         place = np.empty(len(sets), np.int64)
         place[order] = np.arange(len(sets))
-        blocks = np.array([worth[some].sum() for some in _in_blocks(order)])
+        blocks = np.array([worth[some].sum() for some in _in_blocks(order, BLOCK)])
         return cls(sets[order], place[labels], blocks, error)
 
-    def blocks(self) -> list[bytes]:
+    def blocks(self, effort: int = MOST_EFFORT) -> list[bytes]:
         """Return the file of each block: each byte less that of the set before it, byte after byte, compressed."""
 
         def encode(block: U8) -> bytes:
             """Return the file of a block."""
             apart = np.diff(block, axis=0, prepend=np.uint8(ZERO))
-            return compress(np.ascontiguousarray(apart.T).tobytes())
+            return compress(np.ascontiguousarray(apart.T).tobytes(), effort=effort)
 
-        return list(in_order(encode, _in_blocks(self.sets)))
+        return list(in_order(encode, _in_blocks(self.sets, self.block)))
 
 
 def label_bytes(sets: int) -> int:
@@ -149,9 +170,9 @@ def label_bytes(sets: int) -> int:
     return max(1, ((sets - 1).bit_length() + 7) // 8)
 
 
-def _in_blocks(values: NDArray[Number]) -> list[NDArray[Number]]:
-    """Return the parts of (E, ...) values that belong to each block."""
-    return [values[start : start + BLOCK] for start in range(0, len(values), BLOCK)]
+def _in_blocks(values: NDArray[Number], size: int) -> list[NDArray[Number]]:
+    """Return the parts of (E, ...) values that belong to each block of so many."""
+    return [values[start : start + size] for start in range(0, len(values), size)]
 
 
 def _chain(sets: U8) -> I64:

@@ -7,6 +7,7 @@ terms, labels of harmonics), and records and terms coded as on the wire. docs/st
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.export.columns import column, compress, differences
+from gsvis.export.columns import MOST_EFFORT, column, compress, differences
+from gsvis.jobs.in_order import in_order
 from gsvis.package.codec import packed_bits
 from gsvis.package.contents import Contents
 from gsvis.package.rounding import chunks_of
@@ -63,12 +65,14 @@ class PieceCoder:
         coding: The code of its records.
         labels: (N,) the set of higher coefficients of each Gaussian of a bare scene; None elsewhere.
         label_bytes: Bytes that name a set.
+        effort: Effort of compression, 0 to 9.
     """
 
     contents: Contents
     coding: Coding
     labels: I64 | None = None
     label_bytes: int = 0
+    effort: int = MOST_EFFORT
 
     def encode(self, ids: I64, terms: I64 | None = None, known: NDArray[np.bool_] | None = None) -> bytes:
         """Return a piece.
@@ -87,12 +91,19 @@ class PieceCoder:
         columns += [column(differences(owners), 4), column(self._skips(some, owners), 1)]
         if self.labels is not None:
             columns.append(column(self.labels[ids], self.label_bytes))
-        head = compress(*columns)
+        head = compress(*columns, effort=self.effort)
         records = self.coding.encode_some(self._fields, ids.astype(np.int32), of, self._chunks).tobytes()
         rows = self.contents.term_records[some]
         coded = self.coding.encode_terms(rows, owners.astype(np.int32)).tobytes()
         sizes = HEAD.pack(len(head), len(ids), len(chunks), len(some), len(records), len(coded))
         return sizes + head + records + coded
+
+    def encode_all(self, pieces: Iterable[I64]) -> list[bytes]:
+        """Return a piece for each array of ascending ids, by several threads."""
+        self._fields  # noqa: B018  threads share what is found once
+        self._chunks  # noqa: B018
+        self._owners  # noqa: B018
+        return list(in_order(self.encode, pieces))
 
     def encode_terms(self, ids: I64) -> bytes:
         """Return a piece with all terms of Gaussians `ids` (G,), ascending, and without these."""

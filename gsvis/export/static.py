@@ -13,6 +13,7 @@ import json
 import re
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -23,10 +24,10 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.export.bare import BareScene, encode_scene
-from gsvis.export.columns import compress
+from gsvis.export.columns import MOST_EFFORT, compress
 from gsvis.export.first import FirstViews
 from gsvis.export.glances import Glances, glance_bytes
-from gsvis.export.harmonics import Palette, label_bytes
+from gsvis.export.harmonics import BLOCK, Palette, label_bytes
 from gsvis.export.index import Spheres, index_of
 from gsvis.export.lights import Lights, areas_of
 from gsvis.export.parts import divide_in_space
@@ -112,6 +113,8 @@ class StaticOptions:
             for none. Of a small scene they may have as many as the parts, up to 1 MiB.
         most_sets: Most sets of higher SH coefficients that the Gaussians of a bare scene share; None gives each its
             own, which is exact to the byte, takes no time, and many times the bytes.
+        is_near: Whether pages read it on this machine: a bare scene is then written as few large files that are not
+            compressed, which saves most of the time of both.
 
     Raises:
         ValueError: If a number is out of its range.
@@ -126,6 +129,7 @@ class StaticOptions:
     most_first: int = 1 << 19
     most_glances: float = 0.25
     most_sets: int | None = 1 << 16
+    is_near: bool = False
 
     def __post_init__(self) -> None:
         if self.up is not None:
@@ -378,21 +382,27 @@ def _walk(g: Gaussians, cells: CellGrid, meters_per_unit: float, most: int) -> d
 def _bare_content(target: Path, scene: Levels | Gaussians, options: StaticOptions, progress: Progress) -> _Content:
     """Return the content of the static form of a bare scene: its highest level; log what sharing harmonics costs."""
     progress("order", 0, 1)
-    found = encode_scene(scene, options.most_sets)
+    found = encode_scene(scene, options.most_sets, in_space=options.is_near)
+    effort = 0 if options.is_near else MOST_EFFORT
     g = found.contents.gaussians()
     gains = areas_of(g) * g.opacities
-    parts = divide_in_space(g.means.astype(np.float64), gains)
-    placing = Placing.from_parts(parts, found.contents.chunks, len(g))
-    placed = place(found.contents, placing.order)
+    if options.is_near:
+        parts = [np.arange(low, high) for low, high in pairwise(found.contents.starts.tolist())]
+        placing = Placing.in_order(parts)
+        placed = found.contents
+    else:
+        parts = divide_in_space(g.means.astype(np.float64), gains)
+        placing = Placing.from_parts(parts, found.contents.chunks, len(g))
+        placed = place(found.contents, placing.order)
     labels, width = _labels_of(found.palette, placing)
     if found.palette is not None:
         report_palette_loss(target, len(g), len(found.palette.sets), found.palette.error)
-    coder = PieceCoder(placed, Coding.from_contents(placed), labels, width)
+    coder = PieceCoder(placed, Coding.from_contents(placed), labels, width, effort)
     progress("order", 1, 1)
     cells = rows_of_scene(gains, placing.part_of)
-    pieces = {"part": [coder.encode(placing.of_part(k)) for k in range(len(parts))]}
+    pieces = {"part": coder.encode_all(placing.of_part(k) for k in range(len(parts)))}
     if found.palette is not None:
-        pieces["sets"] = found.palette.blocks()
+        pieces["sets"] = found.palette.blocks(effort)
     bounds = g.bounds(0.9)
     ranges = _harmonics_of(found, pieces.get("sets", []))
     poses = options.poses or start_poses(bounds, None, options.up or (0.0, 0.0, 1.0))
@@ -416,6 +426,8 @@ def _harmonics_of(scene: BareScene, blocks: list[bytes]) -> dict[str, Any] | Non
         return None
     worth = [float(f"{value:.4g}") for value in scene.palette.worth.tolist()]
     palette = {"sets": len(scene.palette.sets), "bytes": [len(block) for block in blocks], "worth": worth}
+    if scene.palette.block != BLOCK:
+        palette["block"] = scene.palette.block
     return scene.ranges.as_dict() | palette
 
 

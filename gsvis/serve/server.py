@@ -36,7 +36,7 @@ from gsvis.serve.siblings import Siblings
 from gsvis.serve.turns import Readings
 from gsvis.serve.upkeep import LOOK_S, Upkeep
 
-__all__ = ["Address", "Server", "listen", "page_of", "url_of"]
+__all__ = ["Address", "Server", "is_loopback", "listen", "page_of", "url_of"]
 
 _LATE_S = 0.2
 _LOOKS = 4  # looks between two publications of what siblings read
@@ -162,7 +162,7 @@ class Server:
         """
         page = self.page(next(iter(self._scenes)))
         self._log("listening", url=self.url, page=page, token="needed" if self.config.token else "none")
-        if self.config.token is None and not _is_loopback(self._socket.getsockname()[0]):
+        if self.config.token is None and not is_loopback(self._socket.getsockname()[0]):
             self._log("open", logging.WARNING, why="everybody who reaches this address can stream: no token is set")
         try:
             run(self._serve(hung_s), self._precedence)
@@ -380,6 +380,6 @@ def listen(address: Address) -> socket.socket:
     return found
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
     """Return whether an address is reachable from this machine only."""
     return host.startswith("127.") or host == "::1"

@@ -136,7 +136,7 @@ class Reader:
         apart = [np.frombuffer(zlib.decompress(data), np.uint8).reshape(width, -1).T for data in self.data["sets"]]
         blocks = [(128 + np.cumsum(each, axis=0, dtype=int)).astype(np.uint8) for each in apart]
         assert [len(data) for data in self.data["sets"]] == said["bytes"]
-        assert all(len(block) == 1024 for block in blocks[:-1])
+        assert all(len(block) == said.get("block", 1024) for block in blocks[:-1])
         found = np.concatenate(blocks)
         assert len(found) == said["sets"]
         assert len(blocks) == len(said["worth"])
@@ -430,10 +430,33 @@ def test_parts_are_boxes_in_space_with_the_brightest_gaussians_first() -> None:
     assert [part.tolist() for part in divide_in_space(means[:1], gains[:1])] == [[0]]
 
 
+def test_a_scene_for_pages_nearby_has_the_same_gaussians_in_few_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gsvis.export.parts.PART", 64)
+    monkeypatch.setattr("gsvis.package.order.MOST_GAUSSIANS", 200)
+    monkeypatch.setattr("gsvis.export.harmonics.LARGE_BLOCK", 300)
+    g = random_scene(np.random.default_rng(3), 900, sh_degree=3)
+    found = []
+    for near in (False, True):
+        write_static(tmp_path / str(near), g, StaticOptions(most_sets=None, is_near=near))
+        read = Reader(tmp_path / str(near))
+        rows = np.hstack([read.by_id("records"), read.harmonics(), read.by_id("means").view(np.uint8)])
+        found.append((read.scene, rows[np.lexsort(rows.T)], read.data["part"] + read.data["sets"]))
+    (far, far_rows, far_files), (near, near_rows, near_files) = found
+    assert np.array_equal(far_rows, near_rows)
+    assert (near["harmonics"]["block"], len(near["harmonics"]["bytes"])) == (300, 3)
+    assert "block" not in far["harmonics"]
+    assert near["harmonics"]["low"] == far["harmonics"]["low"]
+    assert len(near_files) < len(far_files)
+    assert sum(near["harmonics"]["worth"]) == pytest.approx(sum(far["harmonics"]["worth"]), rel=1e-3)
+
+
+@pytest.mark.parametrize("near", [False, True])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_a_bare_scene_reads_back_as_what_it_was(degree: int, tmp_path: Path) -> None:
+def test_a_bare_scene_reads_back_as_what_it_was(degree: int, near: bool, tmp_path: Path) -> None:
     g = random_scene(np.random.default_rng(1), 900, sh_degree=degree)
-    made = write_static(tmp_path, g)
+    made = write_static(tmp_path, g, StaticOptions(most_sets=None if near else 1 << 16, is_near=near))
     read = Reader(tmp_path)
     assert (made.cells, made.sh_degree, len(read.cells())) == (1, degree, 1)
     assert [level["count"] for level in read.scene["levels"]] == [900]

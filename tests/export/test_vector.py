@@ -1,4 +1,4 @@
-"""Two static scenes as files and as what a reader finds in them, for other implementations (tests/export/vector.json).
+"""Static scenes as files and as what a reader finds in them, for other implementations (tests/export/vector.json).
 
 After a change of the format that is meant: `python -m tests.export.test_vector --write`.
 """
@@ -33,8 +33,11 @@ def recorded(folder: Path) -> dict[str, Any]:
     with package_of(folder / "p.gsvis", 300, lattice=True) as package:
         write_static(folder / "package", package, StaticOptions(name="package"))
         found = {"package": spelled(folder / "package", package)}
-    write_static(folder / "bare", random_scene(np.random.default_rng(7), 150, sh_degree=2), StaticOptions(name="bare"))
-    return {**found, "bare": spelled(folder / "bare", None)}
+    scene = random_scene(np.random.default_rng(7), 150, sh_degree=2)
+    write_static(folder / "bare", scene, StaticOptions(name="bare"))
+    with patch("gsvis.export.harmonics.LARGE_BLOCK", 64), patch("gsvis.package.order.MOST_GAUSSIANS", 40):
+        write_static(folder / "near", scene, StaticOptions(name="near", most_sets=None, is_near=True))
+    return {**found, **{name: spelled(folder / name, None) for name in ("bare", "near")}}
 
 
 def spelled(folder: Path, package: Package | None) -> dict[str, Any]:
@@ -71,7 +74,7 @@ def content(file: tuple[str, str]) -> tuple[str, bytes]:
 def test_the_recorded_scenes_are_what_is_written(tmp_path: Path) -> None:
     kept = json.loads(VECTOR.read_text(encoding="utf-8"))
     made = json.loads(json.dumps(recorded(tmp_path)))
-    for name in ("package", "bare"):
+    for name in ("package", "bare", "near"):
         assert made[name]["parts"] == kept[name]["parts"]
         assert made[name]["records"] == kept[name]["records"]
         assert [content(each) for each in made[name]["files"].items()] == [

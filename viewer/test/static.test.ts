@@ -35,7 +35,7 @@ interface Recorded {
 
 const VECTOR = JSON.parse(
   readFileSync(join(import.meta.dirname, "../../tests/export/vector.json"), "utf8")
-) as { package: Recorded; bare: Recorded };
+) as { package: Recorded; bare: Recorded; near: Recorded };
 const VIEW: View = { left: 1, right: 1, up: 1, down: 1 };
 const SET = 24; // bytes of a set of harmonics of degree 2
 
@@ -354,6 +354,16 @@ test("a bare scene has one cell with everything, and harmonics beside its record
   assert.equal(client.ids.length, 150);
 });
 
+test("a bare scene that is written for pages nearby says how many sets are in a block", async (t) => {
+  const { url } = await serve(t, filesOf(VECTOR.near));
+  const client = new Client(t, url);
+  client.look([0, 0, -3]);
+  await client.host.start();
+  await client.until(() => client.complete());
+  check(VECTOR.near, client.batches, client.sets);
+  assert.equal(client.ids.length, 150);
+});
+
 test("a page that holds its files reads them without a server", async (t) => {
   const held = new Map([...filesOf(VECTOR.bare)].map(([name, data]) => [name, new Blob([new Uint8Array(data)])]));
   const client = new Client(t, "", held);
@@ -531,7 +541,7 @@ test("the plan takes what has most light in view for its bytes and its delay", a
     part: new Uint8Array(index.count), terms: new Uint8Array(index.count), sets: new Uint8Array(0),
     glance: new Uint8Array(0), left: new Float32Array(index.count).fill(1),
   });
-  const pick = (has: Holdings, delay: number, blocks: SetBlocks = { bytes: [], worth: [] }): Choice | null =>
+  const pick = (has: Holdings, delay: number, blocks: SetBlocks = { size: 1024, bytes: [], worth: [] }): Choice | null =>
     choose(index, worth, row.terms, has, delay, blocks);
   for (let p = 0; p < index.count; p++) {
     if (row.gains[p] === 0) continue;
@@ -556,7 +566,7 @@ test("the plan takes what has most light in view for its bytes and its delay", a
   all.terms.fill(HELD);
   assert.equal(pick(all, 0), null);
   all.sets = Uint8Array.of(HELD, NONE, NONE);
-  assert.deepEqual(pick(all, 0, { bytes: [9, 9, 9], worth: [1, 0.1, 0.01] }), { kind: "sets", number: 1 });
+  assert.deepEqual(pick(all, 0, { size: 1024, bytes: [9, 9, 9], worth: [1, 0.1, 0.01] }), { kind: "sets", number: 1 });
   all.sets.fill(HELD);
   all.part[2] = NONE;
   worth.fill(0);

@@ -1,7 +1,7 @@
 // What a static scene says of itself (docs/static.md): scene.json, checked.
 import { headerOf, withCode } from "./header.ts";
 import { type Fields, integer, list, number, object, refuse, triple } from "./json.ts";
-import { blocksOf, type SetBlocks } from "./static-sets.ts";
+import { BLOCK, type SetBlocks } from "./static-sets.ts";
 import type { HarmonicTables, Header, Pose } from "./types.ts";
 
 const VERSION = 8;
@@ -106,7 +106,7 @@ function checkFiles(scene: StaticScene): void {
   if (header.terms > 0) wanted.set("terms", parts);
   if (first.length > 0) wanted.set("first", first.length);
   if (cells.glances !== null) wanted.set("glance", cells.count * cells.glances.sectors);
-  if (header.harmonics !== null) wanted.set("sets", blocksOf(header.harmonics.sets));
+  if (header.harmonics !== null) wanted.set("sets", scene.sets.bytes.length);
   for (const [kind, count] of wanted) {
     const got = files.get(kind)?.count;
     if (got !== count) refuse(`${WHERE}, files, ${kind}`, `${count} files`, got);
@@ -128,9 +128,10 @@ function parseHarmonics(value: unknown): HarmonicTables {
 
 /** Return the bytes and the worth of each block of sets; nothing where there are none. */
 function parseBlocks(value: unknown): SetBlocks {
-  if (value === null) return { bytes: [], worth: [] };
+  if (value === null) return { size: BLOCK, bytes: [], worth: [] };
   const where = `${WHERE}, harmonics`, said = object(value, where), { sets } = parseHarmonics(value);
-  return { bytes: numbers(said, "bytes", blocksOf(sets), where), worth: numbers(said, "worth", blocksOf(sets), where) };
+  const size = said.block === undefined ? BLOCK : integer(said, "block", 1, MOST, where), count = Math.ceil(sets / size);
+  return { size, bytes: numbers(said, "bytes", count, where), worth: numbers(said, "worth", count, where) };
 }
 
 function numbers(o: Fields, key: string, count: number, where: string): number[] {

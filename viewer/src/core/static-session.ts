@@ -276,7 +276,7 @@ export class StaticSession {
 
   /** Decode a block of sets of harmonics; return what tells of it. */
   async #readSets(data: Uint8Array, block: number): Promise<() => void> {
-    const { first, sets } = await readSets(data, block, this.scene.header.harmonics!);
+    const { first, sets } = await readSets(data, block, this.scene.sets.size, this.scene.header.harmonics!);
     return () => this.events.sets?.(first, sets);
   }
 

@@ -1,18 +1,14 @@
 // Sets of harmonics that the Gaussians of a bare scene share (docs/static.md): blocks of them, those of most worth first.
-import { Columns, damaged, inflate } from "./static-tables.ts";
+import { damaged, inflate } from "./static-tables.ts";
 import type { HarmonicTables } from "./types.ts";
 
-const BLOCK = 1024; // sets
+export const BLOCK = 1024; // sets, where scene.json does not say how many
 
 /** What is known of each block before it comes. */
 export interface SetBlocks {
+  size: number; // sets in each but the last
   bytes: number[];
   worth: number[]; // mean squared change of color, over the whole scene
-}
-
-/** Return the number of blocks of so many sets. */
-export function blocksOf(sets: number): number {
-  return Math.ceil(sets / BLOCK);
 }
 
 /** Return how many bytes name a set. */
@@ -22,16 +18,16 @@ export function labelBytes(tables: HarmonicTables | null): number {
 
 /** Return the number of the first set of a block, and its sets: 3 K bytes each, for each coefficient R, G and B. */
 export async function readSets(
-  data: Uint8Array, block: number, tables: HarmonicTables,
+  data: Uint8Array, block: number, size: number, tables: HarmonicTables,
 ): Promise<{ first: number; sets: Uint8Array }> {
-  const first = BLOCK * block, count = Math.min(BLOCK, tables.sets - first);
+  const first = size * block, count = Math.min(size, tables.sets - first);
   const each = 3 * ((tables.degree + 1) ** 2 - 1), where = `sets ${block}`;
   const packed = await inflate(data, each * count, where);
   if (packed.length !== each * count) throw damaged(where);
-  const columns = new Columns(packed, count), sets = new Uint8Array(each * count);
-  for (let k = 0; k < each; k++) {
+  const sets = new Uint8Array(each * count);
+  for (let k = 0, at = 0; k < each; k++) {
     let value = 128;
-    columns.next(1).forEach((apart, i) => (sets[each * i + k] = value += apart));
+    for (let i = k; i < sets.length; i += each) sets[i] = value += packed[at++];
   }
   return { first, sets };
 }
