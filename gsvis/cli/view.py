@@ -138,7 +138,7 @@ def _open(command: View, stack: ExitStack) -> _Opened:
         later = partial(_show_all, command, whole, shown, visit.space)
         remarks.append(f" first {len(source.gaussians):,} of {glance[1]:,} Gaussians; all of them follow by themselves")
     elif visit.space is not None:
-        later = partial(_write_walk, folder, source.gaussians, visit.space)
+        later = partial(_write_walk, folder, source.gaussians, visit.space, title_of(command.scene))
     return _Opened(command, folder, title_of(command.scene), remarks, later, glance is not None)
 
 
@@ -162,13 +162,19 @@ def _show_all(command: View, folder: Path, shown: StaticOptions, space: Navigabl
         say(f"{shown_name(command.scene)} is shown in part: {why}")
         return
     if space is not None:
-        _write_walk(folder, source.gaussians, space, scenes)
+        _write_walk(folder, source.gaussians, space, name, scenes)
 
 
-def _write_walk(folder: Path, g: Gaussians, space: NavigableSpace, _scenes: Scenes) -> None:
-    """Write where one can walk in the scene that is shown; nothing once the folder is gone with the command."""
+def _write_walk(folder: Path, g: Gaussians, space: NavigableSpace, name: str, scenes: Scenes) -> None:
+    """Write where one can walk in the scene that is shown, when pages have the scene itself.
+
+    Nothing is written once the folder is gone with the command.
+    """
     from gsvis.export.later_walk import write_walk
 
+    site = scenes[name].site
+    if site is not None:
+        site.wait_until_quiet()
     with suppress(GsvisError, OSError):
         write_walk(folder, g, space)
 

@@ -22,7 +22,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.sh import SH_C0
 
-__all__ = ["BareScene", "encode_scene"]
+__all__ = ["BareScene", "base_grids", "base_places", "encode_scene"]
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -43,14 +43,12 @@ class BareScene:
     palette: Palette | None
 
 
-def encode_scene(scene: Levels | Gaussians, most_sets: int | None = None, *, in_space: bool = False) -> BareScene:
+def encode_scene(scene: Levels | Gaussians, most_sets: int | None = None) -> BareScene:
     """Return the records of a scene, or of its highest level.
 
     Args:
         scene: Gaussians or levels.
         most_sets: Largest number of sets of higher coefficients; None gives each Gaussian its own.
-        in_space: Keep the sets in the order of the Gaussians, where each has its own; by default in that of their
-            worth.
 
     Raises:
         ValueError: If it is empty.
@@ -64,12 +62,12 @@ def encode_scene(scene: Levels | Gaussians, most_sets: int | None = None, *, in_
     g = union.without_harmonics()[ids]
     layout = RecordLayout.from_variant("rgb")
     table = build_chunks(g, layout, starts=order.chunks, lattices=order.lattices)
-    grids, places = _base_colors(g.sh0[:, 0])
+    grids = base_grids(g.sh0[:, 0])
     contents = Contents(
         levels.names,
         table,
         np.zeros((len(table), 2), np.uint8),
-        encode_records(g, places, table, layout),
+        encode_records(g, base_places(g.sh0[:, 0], grids), table, layout),
         np.zeros(len(g), np.uint8),
         np.zeros((0, TermLayout.from_grids(grids).nbytes), np.uint8),
         grids,
@@ -79,19 +77,26 @@ def encode_scene(scene: Levels | Gaussians, most_sets: int | None = None, *, in_
     if not union.sh_degree:
         return BareScene(contents, None, None)
     ranges = Harmonics.from_coefficients(union.shN, union.sh_degree)
-    lights = areas_of(g) * g.opacities
-    if in_space and most_sets is None:
-        return BareScene(contents, ranges, Palette.of_each(union.shN, ids, lights, ranges))
-    palette = Palette.from_scene(union.shN[ids], lights, ranges, most_sets)
+    palette = Palette.from_scene(union.shN[ids], areas_of(g) * g.opacities, ranges, most_sets)
     return BareScene(contents, ranges, palette)
 
 
-def _base_colors(sh0: F32) -> tuple[Grids, U8]:
-    """Return the tables for constant coefficients (N, 3), and the (N, 3) indices of their colors."""
-    rgb = (0.5 + SH_C0 * sh0.astype(np.float64)).astype(np.float32)
+def base_grids(sh0: F32) -> Grids:
+    """Return the tables for constant coefficients (N, 3)."""
+    rgb = _rgb_of(np.stack([sh0.min(axis=0), sh0.max(axis=0)]))
     low = rgb.min(axis=0).tolist()
     high = rgb.max(axis=0).tolist()
     base = (low[0], high[0]), (low[1], high[1]), (low[2], high[2])
-    grids = Grids("rgb", PRECISIONS["wire"], base, (1.0, 1.0), (1.0, 1.0), 0.0)
+    return Grids("rgb", PRECISIONS["wire"], base, (1.0, 1.0), (1.0, 1.0), 0.0)
+
+
+def base_places(sh0: F32, grids: Grids) -> U8:
+    """Return the (N, 3) places in the tables of the colors of constant coefficients (N, 3)."""
+    rgb = _rgb_of(sh0)
     places = [tables.nearest(rgb[:, k], grids.base_table(k)) for k in range(3)]
-    return grids, np.stack(places, axis=1).astype(np.uint8)
+    return np.stack(places, axis=1).astype(np.uint8)
+
+
+def _rgb_of(sh0: F32) -> F32:
+    """Return the colors (N, 3) of constant coefficients."""
+    return (0.5 + SH_C0 * sh0.astype(np.float64)).astype(np.float32)

@@ -18,7 +18,7 @@ from gsvis.export.columns import MOST_EFFORT, compress
 from gsvis.io.quantize import distinct_rows, palette_of
 from gsvis.jobs.in_order import in_order
 
-__all__ = ["BLOCK", "LARGE_BLOCK", "Harmonics", "Palette", "label_bytes"]
+__all__ = ["BLOCK", "LARGE_BLOCK", "Harmonics", "Palette", "label_bytes", "mean_squares"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -108,20 +108,17 @@ class Palette:
     block: int = BLOCK
 
     @classmethod
-    def of_each(cls, coefficients: F32, order: I64, lights: F64, ranges: Harmonics) -> Palette:
-        """Return a set for each of N Gaussians, in their order: nothing is sorted by its worth.
+    def of_each(cls, sets: U8, lights: F64, squares: F64) -> Palette:
+        """Return a palette in which each of N Gaussians has its own set, in their order: none is sorted by its worth.
 
         Args:
-            coefficients: (N, K, 3), in another order.
-            order: (N,) place of each Gaussian in `coefficients`.
+            sets: (N, 3 K) bytes of coefficients, from `Harmonics.encode`.
             lights: (N,) how much each Gaussian counts.
-            ranges: Ranges of the coefficients.
+            squares: (N,) `mean_squares` of the coefficients.
         """
-        shares = lights / max(float(lights.sum()), 1e-300)
-        worth = shares * _energies(coefficients)[order]
-        starts = np.arange(0, len(order), LARGE_BLOCK)
-        sets = ranges.encode(coefficients)[order]
-        return cls(sets, np.arange(len(order)), np.add.reduceat(worth, starts), 0.0, LARGE_BLOCK)
+        worth = lights / max(float(lights.sum()), 1e-300) * squares
+        starts = np.arange(0, len(sets), LARGE_BLOCK)
+        return cls(sets, np.arange(len(sets)), np.add.reduceat(worth, starts), 0.0, LARGE_BLOCK)
 
     @classmethod
     def from_scene(cls, coefficients: F32, lights: F64, ranges: Harmonics, most: int | None) -> Palette:
@@ -143,9 +140,9 @@ class Palette:
             centers, labels = palette_of(coefficients.reshape(n, -1), most)
             sets = ranges.encode(centers.reshape(len(centers), -1, 3))
             apart = ranges.decode(sets)[labels] - coefficients
-            error = float(np.sqrt(_energies(apart).mean()))
+            error = float(np.sqrt(mean_squares(apart).mean()))
         shares = lights / max(float(lights.sum()), 1e-300)
-        worth = np.bincount(labels, shares * _energies(coefficients), minlength=len(sets))
+        worth = np.bincount(labels, shares * mean_squares(coefficients), minlength=len(sets))
         order = np.argsort(-worth, kind="stable")
         if most is not None:
             order = np.concatenate([some[_chain(sets[some])] for some in _in_blocks(order, BLOCK)])
@@ -189,7 +186,7 @@ def _chain(sets: U8) -> I64:
     return order
 
 
-def _energies(coefficients: F32) -> F64:
+def mean_squares(coefficients: F32) -> F64:
     """Return (N,) the mean squared color of coefficients (N, K, 3), over directions and channels."""
     squared = np.einsum("nkc,nkc->n", coefficients, coefficients, dtype=np.float64)
     return np.asarray(squared / (3.0 * 4.0 * np.pi))

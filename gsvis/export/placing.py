@@ -40,12 +40,6 @@ class Placing:
         ids = np.flatnonzero(part_of >= 0)
         return cls(ids[np.lexsort((part_of[ids], chunks[ids]))], part_of)
 
-    @classmethod
-    def in_order(cls, parts: list[I64]) -> Placing:
-        """Return the numbers for parts that follow each other and have all Gaussians: these keep their numbers."""
-        part_of = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-        return cls(np.arange(len(part_of)), part_of)
-
     @cached_property
     def placed(self) -> I64:
         """(N,) id in the static form of each Gaussian, -1 for those that are not in it."""

@@ -24,12 +24,13 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.export.bare import BareScene, encode_scene
-from gsvis.export.columns import MOST_EFFORT, compress
+from gsvis.export.columns import compress
 from gsvis.export.first import FirstViews
 from gsvis.export.glances import Glances, glance_bytes
 from gsvis.export.harmonics import BLOCK, Palette, label_bytes
 from gsvis.export.index import Spheres, index_of
 from gsvis.export.lights import Lights, areas_of
+from gsvis.export.near import encode_near
 from gsvis.export.parts import divide_in_space
 from gsvis.export.pieces import PieceCoder, place
 from gsvis.export.placing import Placing
@@ -114,7 +115,7 @@ class StaticOptions:
         most_sets: Most sets of higher SH coefficients that the Gaussians of a bare scene share; None gives each its
             own, which is exact to the byte, takes no time, and many times the bytes.
         is_near: Whether pages read it on this machine: a bare scene is then written as few large files that are not
-            compressed, which saves most of the time of both.
+            compressed, and `most_sets` is not asked, which saves most of the time of both.
 
     Raises:
         ValueError: If a number is out of its range.
@@ -197,6 +198,8 @@ def write_static(
     check_target(target)
     if isinstance(scene, Package):
         content = _package_content(scene, said, progress)
+    elif said.is_near:
+        content = _near_content(scene, said, progress)
     else:
         content = _bare_content(target, scene, said, progress)
     target.mkdir(parents=True, exist_ok=True)
@@ -297,7 +300,6 @@ class _Content:
 class _Info:
     """Facts about a scene, and the ranges of its harmonics."""
 
-    bounds: NDArray[np.float64]
     harmonics: dict[str, Any] | None = None
     up: tuple[float, ...] = (0.0, 0.0, 1.0)
     meters_per_unit: float = 0.0
@@ -321,8 +323,8 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
     progress("order", 1, 1)
     views = tuple(Start.from_dict(view) for view in package.manifest.views)
     grid = None if lights is None else lights.grid
-    known = _Info(g.bounds(0.9), None, info.up, info.meters_per_unit, options.poses or views)
-    known = replace(known, poses=known.poses or start_poses(known.bounds, grid, options.up or info.up))
+    poses = options.poses or views or start_poses(g.bounds(0.9), grid, options.up or info.up)
+    known = _Info(None, info.up, info.meters_per_unit, poses)
     pieces = {"part": [coder.encode(placing.of_part(k)) for k in range(len(parts))]}
     spheres = Spheres.from_parts(parts, g.means, gains)
     if len(placed.term_records):
@@ -382,35 +384,59 @@ def _walk(g: Gaussians, cells: CellGrid, meters_per_unit: float, most: int) -> d
 def _bare_content(target: Path, scene: Levels | Gaussians, options: StaticOptions, progress: Progress) -> _Content:
     """Return the content of the static form of a bare scene: its highest level; log what sharing harmonics costs."""
     progress("order", 0, 1)
-    found = encode_scene(scene, options.most_sets, in_space=options.is_near)
-    effort = 0 if options.is_near else MOST_EFFORT
+    found = encode_scene(scene, options.most_sets)
     g = found.contents.gaussians()
     gains = areas_of(g) * g.opacities
-    if options.is_near:
-        parts = [np.arange(low, high) for low, high in pairwise(found.contents.starts.tolist())]
-        placing = Placing.in_order(parts)
-        placed = found.contents
-    else:
-        parts = divide_in_space(g.means.astype(np.float64), gains)
-        placing = Placing.from_parts(parts, found.contents.chunks, len(g))
-        placed = place(found.contents, placing.order)
+    parts = divide_in_space(g.means.astype(np.float64), gains)
+    placing = Placing.from_parts(parts, found.contents.chunks, len(g))
+    placed = place(found.contents, placing.order)
     labels, width = _labels_of(found.palette, placing)
     if found.palette is not None:
         report_palette_loss(target, len(g), len(found.palette.sets), found.palette.error)
-    coder = PieceCoder(placed, Coding.from_contents(placed), labels, width, effort)
+    coder = PieceCoder(placed, Coding.from_contents(placed), labels, width)
     progress("order", 1, 1)
     cells = rows_of_scene(gains, placing.part_of)
     pieces = {"part": coder.encode_all(placing.of_part(k) for k in range(len(parts)))}
     if found.palette is not None:
-        pieces["sets"] = found.palette.blocks(effort)
-    bounds = g.bounds(0.9)
-    ranges = _harmonics_of(found, pieces.get("sets", []))
-    poses = options.poses or start_poses(bounds, None, options.up or (0.0, 0.0, 1.0))
-    info = _Info(bounds, ranges, poses=poses)
-    files = {}
-    if options.space is not None:
-        files = _walk(g, CellGrid.over(options.space), options.meters_per_unit or 0.0, options.most_walk)
-    return _Content(coder, parts, cells, files, pieces, Spheres.from_parts(parts, g.means, gains), info)
+        pieces["sets"] = found.palette.blocks()
+    info = _bare_info(found, pieces, options, g)
+    spheres = Spheres.from_parts(parts, g.means, gains)
+    return _Content(coder, parts, cells, _bare_files(g, options), pieces, spheres, info)
+
+
+def _near_content(scene: Levels | Gaussians, options: StaticOptions, progress: Progress) -> _Content:
+    """Return the content of the static form of a bare scene for pages on this machine: its highest level."""
+    progress("order", 0, 1)
+    g = scene.level(len(scene) - 1) if isinstance(scene, Levels) else scene
+    found = encode_near(g)
+    contents = found.scene.contents
+    palette = found.scene.palette
+    parts = [np.arange(low, high) for low, high in pairwise(contents.starts.tolist())]
+    labels = None if palette is None else palette.labels
+    width = 0 if palette is None else label_bytes(len(palette.sets))
+    coder = PieceCoder(contents, Coding.from_contents(contents), labels, width, effort=0)
+    progress("order", 1, 1)
+    cells = rows_of_scene(found.lights, np.repeat(np.arange(len(parts)), [len(part) for part in parts]))
+    pieces = {"part": coder.encode_all(parts)}
+    if palette is not None:
+        pieces["sets"] = palette.blocks(effort=0)
+    info = _bare_info(found.scene, pieces, options, g)
+    spheres = Spheres.from_parts(parts, found.means, found.lights)
+    return _Content(coder, parts, cells, _bare_files(g, options), pieces, spheres, info)
+
+
+def _bare_info(scene: BareScene, pieces: dict[str, list[bytes]], options: StaticOptions, g: Gaussians) -> _Info:
+    """Return facts about a bare scene, whose Gaussians are `g`."""
+    ranges = _harmonics_of(scene, pieces.get("sets", []))
+    poses = options.poses or start_poses(g.bounds(0.9), None, options.up or (0.0, 0.0, 1.0))
+    return _Info(ranges, poses=poses)
+
+
+def _bare_files(g: Gaussians, options: StaticOptions) -> dict[str, bytes]:
+    """Return the files of a bare scene that are alone: where one can walk."""
+    if options.space is None:
+        return {}
+    return _walk(g, CellGrid.over(options.space), options.meters_per_unit or 0.0, options.most_walk)
 
 
 def _labels_of(palette: Palette | None, placing: Placing) -> tuple[I64 | None, int]:

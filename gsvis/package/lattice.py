@@ -14,13 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis.scene.symlog import symlog
 
-__all__ = ["Lattices", "find_lattices"]
+__all__ = ["MOST_RUNS", "Lattices", "find_lattices"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
+MOST_RUNS = 256
+"""Most runs of consecutive Gaussians in which a lattice is looked for."""
+
 _RUN = 256  # consecutive Gaussians from which a step is estimated
-_RUNS = 256  # most runs that are examined
 _MOST = 64  # most lattices of a scene
 _DIFFERENT = 32  # fewest different values of a coordinate in a run
 _NEAR = 0.05  # largest distance of a center from its lattice, in steps
@@ -55,11 +57,12 @@ class Lattices:
         return Lattices(self.offsets, self.steps, self.of[chosen], self.places[chosen])
 
 
-def find_lattices(means: NDArray[np.float32]) -> Lattices:
+def find_lattices(means: NDArray[np.float32], *, runs: int = MOST_RUNS) -> Lattices:
     """Return the lattices of centers, the one with most centers first; a scene that was never in a SOG file has none.
 
     Args:
         means: (N, 3) centers, in an order in which neighbors are near each other.
+        runs: Runs that are examined, at most.
     """
     n = len(means)
     of = np.full(n, -1, np.int16)
@@ -68,7 +71,7 @@ def find_lattices(means: NDArray[np.float32]) -> Lattices:
     rest = np.arange(n)
     found = list[tuple[F64, F64]]()
     while len(found) < _MOST and len(rest) >= _RUN:
-        lattice = _find_common(logs[rest])
+        lattice = _find_common(logs[rest], runs)
         if lattice is None:
             break
         offset, step = lattice
@@ -85,10 +88,10 @@ def find_lattices(means: NDArray[np.float32]) -> Lattices:
     return Lattices(offsets, steps, of, places)
 
 
-def _find_common(logs: F64) -> tuple[F64, F64] | None:
-    """Return offset (3,) and step (3,) of the lattice with most runs of logarithms (N, 3); None if there is none."""
+def _find_common(logs: F64, most: int) -> tuple[F64, F64] | None:
+    """Return offset (3,) and step (3,) of the lattice with most of `most` runs of logarithms (N, 3), or None."""
     count = len(logs) // _RUN
-    runs = [slice(_RUN * k, _RUN * (k + 1)) for k in np.unique(np.linspace(0, count - 1, _RUNS).astype(int)).tolist()]
+    runs = [slice(_RUN * k, _RUN * (k + 1)) for k in np.unique(np.linspace(0, count - 1, most).astype(int)).tolist()]
     steps = np.array([[_find_step(np.sort(logs[run, axis])) for axis in range(3)] for run in runs])
     good = np.flatnonzero((steps > 0.0).all(axis=1))
     if len(good) == 0:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.package.codec import chunk_starts
-from gsvis.package.lattice import Lattices, find_lattices
+from gsvis.package.lattice import MOST_RUNS, Lattices, find_lattices
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.morton import morton_codes
@@ -49,14 +49,19 @@ class PackageOrder:
     lattices: Lattices
 
     @classmethod
-    def from_levels(cls, levels: Levels) -> PackageOrder:
-        """Return the order for levels."""
+    def from_levels(cls, levels: Levels, *, runs: int = MOST_RUNS) -> PackageOrder:
+        """Return the order for levels.
+
+        Args:
+            levels: The levels.
+            runs: Runs of neighbors in which lattices are looked for, at most.
+        """
         union = levels.union
         codes = morton_codes(union.means, *_curve_frame(union))
         keys = levels.first.astype(np.int64) * 16 + (15 - levels.last)
         order = np.lexsort((codes, keys))
         order = _sort_ties(union, codes, keys, order)
-        lattices = find_lattices(union.means[order])
+        lattices = find_lattices(union.means[order], runs=runs)
         order, lattices = _sort_by_lattice(order, keys[order], lattices)
         codes = codes[order]
         keys = keys[order] * (len(lattices) + 1) + lattices.of

@@ -9,7 +9,8 @@ from __future__ import annotations
 import asyncio
 import os
 import re
-from collections.abc import AsyncIterator, Iterator
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -30,6 +31,8 @@ _PIECE = 256 << 10  # bytes read and sent at a time
 _HASHED = re.compile(r"-[0-9a-f]{16}(?:-\d+)?\.bin$")  # such a file never changes
 _LATE = re.compile(r"walk-[0-9a-f]{16}\.bin")  # gsvis.export.later_walk writes it while the scene is shown
 _LOOK = 0.1  # seconds between two looks for such a file
+_QUIET = 30  # such looks without a request after which pages have what they need
+_MOST_LOOKS = 600
 _PATIENCE = 60.0  # seconds for which an answer waits for it
 _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")
 
@@ -49,6 +52,8 @@ class Site:
         folder: The folder.
         about: Content of `scene.json`.
         names: Names of the files that it lists, and its own.
+        answers: How many requests for files were answered.
+        is_walk_asked: Whether anybody has asked for the file of walking that is written later.
 
     Raises:
         FormatError: If `scene.json` is not one of a static scene.
@@ -64,12 +69,25 @@ class Site:
         self.about = about
         names = [name for name in _names(about.get("files")) if _NAME.fullmatch(name) and ".." not in name]
         self.names = frozenset([SCENE, *names])
+        self.answers = 0
+        self.is_walk_asked = False
 
     @property
     def gaussians(self) -> int | None:
         """Number of Gaussians; None if `scene.json` does not say."""
         found = self.about.get("gaussians")
         return found if type(found) is int and 0 <= found < 1 << 31 else None
+
+    def wait_until_quiet(self, sleep: Callable[[float], None] = time.sleep) -> None:
+        """Return when nobody asks for files for three seconds, or somebody for that of walking; in a minute at most."""
+        seen = self.answers
+        quiet = 0
+        for _ in range(_MOST_LOOKS):
+            if self.is_walk_asked or quiet == _QUIET:
+                return
+            sleep(_LOOK)
+            quiet = quiet + 1 if self.answers == seen else 0
+            seen = self.answers
 
     async def respond(self, request: Request, name: str, *, private: bool) -> Response:
         """Answer a GET or HEAD request for a file, whole or a range.
@@ -84,6 +102,8 @@ class Site:
             OSError: If the file cannot be read.
         """
         path = self.folder / name
+        self.answers += 1
+        self.is_walk_asked |= bool(_LATE.fullmatch(name))
         if name not in self.names or not await _comes(path) or path.is_dir():
             return PlainTextResponse("no such file\n", 404)
         if path.is_symlink():

@@ -456,7 +456,7 @@ def test_a_scene_for_pages_nearby_has_the_same_gaussians_in_few_files(
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_a_bare_scene_reads_back_as_what_it_was(degree: int, near: bool, tmp_path: Path) -> None:
     g = random_scene(np.random.default_rng(1), 900, sh_degree=degree)
-    made = write_static(tmp_path, g, StaticOptions(most_sets=None if near else 1 << 16, is_near=near))
+    made = write_static(tmp_path, g, StaticOptions(is_near=near))
     read = Reader(tmp_path)
     assert (made.cells, made.sh_degree, len(read.cells())) == (1, degree, 1)
     assert [level["count"] for level in read.scene["levels"]] == [900]

@@ -117,3 +117,27 @@ def test_a_file_of_walking_that_comes_later_is_waited_for(site: Path) -> None:
         (site / "part").rename(site / "walk-0123456789abcdef.bin")
         status, _, body = asked.result()
         assert (status, body) == (200, b"walk")
+
+
+def test_work_beside_a_scene_waits_until_pages_have_read_it_or_need_it(site: Path) -> None:
+    found = Site(site)
+    slept: list[float] = []
+
+    def read(seconds: float) -> None:
+        """Let a page ask for a file now and then, twenty times."""
+        slept.append(seconds)
+        found.answers += len(slept) % 10 == 0 and len(slept) <= 200
+
+    found.wait_until_quiet(sleep=read)
+    assert len(slept) == 200 + 30  # looks until the last request, and three quiet seconds
+    found.is_walk_asked = True
+    found.wait_until_quiet(sleep=read)
+    assert len(slept) == 230
+
+    def ask_on(seconds: float) -> None:
+        found.answers += 1
+        slept.append(seconds)
+
+    found.is_walk_asked = False
+    found.wait_until_quiet(sleep=ask_on)
+    assert sum(slept[230:]) == pytest.approx(60.0)
