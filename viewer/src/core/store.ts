@@ -30,6 +30,8 @@ export class Store {
   readonly #gl: WebGL2RenderingContext;
   readonly #limit: number; // rows of a texture
   readonly #changed = new Set<number>(); // rows of heads that the GPU lacks
+  readonly #lowest: number[] = []; // of the labels in each row of Gaussians
+  readonly #highest: number[] = [];
   #firsts: Uint32Array = new Uint32Array(0);
 
   constructor(gl: WebGL2RenderingContext, header: Header) {
@@ -113,6 +115,7 @@ export class Store {
     if (batch.labels) {
       this.labels.reserve(to, most);
       this.labels.write(from, batch.labels);
+      this.#note(from, batch.labels);
     }
     this.count = to;
     for (let row = Math.floor(from / ROW); row * ROW < to; row++) this.stale.add(row);
@@ -126,7 +129,18 @@ export class Store {
     if (end > ROW * this.#limit) return;
     this.sets.reserve(end, texels * harmonics.sets);
     this.sets.write(texels * first, packSets(sets, harmonics));
-    for (let row = 0; row * ROW < this.count; row++) this.stale.add(row);
+    const last = end / texels - 1;
+    this.#lowest.forEach((lowest, row) => { if (lowest <= last && this.#highest[row] >= first) this.stale.add(row); });
+  }
+
+  /** Remember which labels each row has, so that sets that come later make no other colors stale. */
+  #note(from: number, labels: Uint32Array): void {
+    const lowest = this.#lowest, highest = this.#highest;
+    for (let k = 0; k < labels.length; k++) {
+      const row = Math.floor((from + k) / ROW), label = labels[k];
+      if (!(lowest[row] <= label)) lowest[row] = label;
+      if (!(highest[row] >= label)) highest[row] = label;
+    }
   }
 
   #appendSlots(first: number, count: number): void {
