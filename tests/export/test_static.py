@@ -21,6 +21,7 @@ from gsvis.errors import FormatError
 from gsvis.export import StaticOptions, write_static
 from gsvis.export.harmonics import Harmonics, label_bytes
 from gsvis.export.lights import Lights
+from gsvis.export.near import _blocks_of
 from gsvis.export.parts import divide_in_space
 from gsvis.export.start import Start, start_poses
 from gsvis.files.fields import parse_object
@@ -452,11 +453,26 @@ def test_a_scene_for_pages_nearby_has_the_same_gaussians_in_few_files(
     assert sum(near["harmonics"]["worth"]) == pytest.approx(sum(far["harmonics"]["worth"]), rel=1e-3)
 
 
-@pytest.mark.parametrize("near", [False, True])
+def test_blocks_of_a_scene_for_pages_nearby_are_neighbors_with_all_gaussians(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gsvis.export.near._ALONE", 100)
+    means = np.random.default_rng(0).normal(size=(1000, 3)).astype(np.float32)
+    blocks = _blocks_of(means)
+    assert sorted(np.concatenate(blocks).tolist()) == list(range(1000))
+    assert [len(block) for block in blocks] == [250] * 4
+    spread = sum(float(means[block].var(axis=0).sum()) for block in blocks) / 4
+    assert spread < 0.75 * float(means.var(axis=0).sum())
+    same = _blocks_of(np.ones((1000, 3), np.float32))
+    assert sorted(np.concatenate(same).tolist()) == list(range(1000))
+
+
+@pytest.mark.parametrize("alone", [None, 1000, 100])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_a_bare_scene_reads_back_as_what_it_was(degree: int, near: bool, tmp_path: Path) -> None:
+def test_a_bare_scene_reads_back_as_what_it_was(
+    degree: int, alone: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gsvis.export.near._ALONE", alone)
     g = random_scene(np.random.default_rng(1), 900, sh_degree=degree)
-    made = write_static(tmp_path, g, StaticOptions(is_near=near))
+    made = write_static(tmp_path, g, StaticOptions(is_near=alone is not None))
     read = Reader(tmp_path)
     assert (made.cells, made.sh_degree, len(read.cells())) == (1, degree, 1)
     assert [level["count"] for level in read.scene["levels"]] == [900]

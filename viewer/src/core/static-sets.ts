@@ -2,6 +2,7 @@
 import { damaged, inflate } from "./static-tables.ts";
 import type { HarmonicTables } from "./types.ts";
 
+const NEAR = 64; // sets that are put together at a time
 export const BLOCK = 1024; // sets, where scene.json does not say how many
 
 /** What is known of each block before it comes. */
@@ -24,10 +25,14 @@ export async function readSets(
   const each = 3 * ((tables.degree + 1) ** 2 - 1), where = `sets ${block}`;
   const packed = await inflate(data, each * count, where);
   if (packed.length !== each * count) throw damaged(where);
-  const sets = new Uint8Array(each * count);
-  for (let k = 0, at = 0; k < each; k++) {
-    let value = 128;
-    for (let i = k; i < sets.length; i += each) sets[i] = value += packed[at++];
+  const sets = new Uint8Array(each * count), values = new Uint8Array(each).fill(128);
+  for (let low = 0; low < count; low += NEAR) { // all columns of some sets, so that what is written stays in the cache
+    const high = Math.min(low + NEAR, count);
+    for (let k = 0; k < each; k++) {
+      let value = values[k];
+      for (let i = low, at = count * k; i < high; i++) sets[each * i + k] = value += packed[at + i];
+      values[k] = value;
+    }
   }
   return { first, sets };
 }
