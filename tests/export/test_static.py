@@ -21,7 +21,6 @@ from gsvis.errors import FormatError
 from gsvis.export import StaticOptions, write_static
 from gsvis.export.harmonics import Harmonics, label_bytes
 from gsvis.export.lights import Lights
-from gsvis.export.near import _blocks_of
 from gsvis.export.parts import divide_in_space
 from gsvis.export.start import Start, start_poses
 from gsvis.files.fields import parse_object
@@ -429,40 +428,6 @@ def test_parts_are_boxes_in_space_with_the_brightest_gaussians_first() -> None:
         assert box.max() <= 2.2
     assert divide_in_space(means[:0], gains[:0]) == []
     assert [part.tolist() for part in divide_in_space(means[:1], gains[:1])] == [[0]]
-
-
-def test_a_scene_for_pages_nearby_has_the_same_gaussians_in_few_files(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("gsvis.export.parts.PART", 64)
-    monkeypatch.setattr("gsvis.package.order.MOST_GAUSSIANS", 200)
-    monkeypatch.setattr("gsvis.export.harmonics.LARGE_BLOCK", 300)
-    g = random_scene(np.random.default_rng(3), 900, sh_degree=3)
-    found = []
-    for near in (False, True):
-        write_static(tmp_path / str(near), g, StaticOptions(most_sets=None, is_near=near))
-        read = Reader(tmp_path / str(near))
-        rows = np.hstack([read.by_id("records"), read.harmonics(), read.by_id("means").view(np.uint8)])
-        found.append((read.scene, rows[np.lexsort(rows.T)], read.data["part"] + read.data["sets"]))
-    (far, far_rows, far_files), (near, near_rows, near_files) = found
-    assert np.array_equal(far_rows, near_rows)
-    assert (near["harmonics"]["block"], len(near["harmonics"]["bytes"])) == (300, 3)
-    assert "block" not in far["harmonics"]
-    assert near["harmonics"]["low"] == far["harmonics"]["low"]
-    assert len(near_files) < len(far_files)
-    assert sum(near["harmonics"]["worth"]) == pytest.approx(sum(far["harmonics"]["worth"]), rel=1e-3)
-
-
-def test_blocks_of_a_scene_for_pages_nearby_are_neighbors_with_all_gaussians(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gsvis.export.near._ALONE", 100)
-    means = np.random.default_rng(0).normal(size=(1000, 3)).astype(np.float32)
-    blocks = _blocks_of(means)
-    assert sorted(np.concatenate(blocks).tolist()) == list(range(1000))
-    assert [len(block) for block in blocks] == [250] * 4
-    spread = sum(float(means[block].var(axis=0).sum()) for block in blocks) / 4
-    assert spread < 0.75 * float(means.var(axis=0).sum())
-    same = _blocks_of(np.ones((1000, 3), np.float32))
-    assert sorted(np.concatenate(same).tolist()) == list(range(1000))
 
 
 @pytest.mark.parametrize("alone", [None, 1000, 100])
