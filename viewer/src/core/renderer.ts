@@ -292,7 +292,7 @@ export function choosePrecision(gl: WebGL2RenderingContext, wanted?: Precision):
 }
 
 /** Return whether Chromium draws on the CPU: there a blend into half floats takes twice as long as one into floats. */
-function isSoftware(gl: WebGL2RenderingContext): boolean {
+export function isSoftware(gl: WebGL2RenderingContext): boolean {
   const info = gl.getParameter(gl.RENDERER) === "WebKit WebGL" && gl.getExtension("WEBGL_debug_renderer_info");
   return !!info && /SwiftShader/.test(gl.getParameter(info.UNMASKED_RENDERER_WEBGL));
 }

@@ -3,7 +3,7 @@ import { angleBetween, cameraOf, sameCamera, viewOf } from "./camera.ts";
 import { isSmall, memoryOfDevice } from "./device.ts";
 import { Intake } from "./intake.ts";
 import type { Pick } from "./picking.ts";
-import { choosePrecision, type Look, type Precision, Renderer } from "./renderer.ts";
+import { choosePrecision, isSoftware, type Look, type Precision, Renderer } from "./renderer.ts";
 import { Sorter } from "./sorter.ts";
 import type { Region } from "./sorting.ts";
 import { bytesOfGaussian, Store } from "./store.ts";
@@ -24,7 +24,8 @@ interface Order {
 
 // bytes for each Gaussian to draw it, with its share of a chunk, for each term, and beside them
 const DRAWN = 44, TERM = 16, BESIDE = 2 ** 19;
-const REST = 2, LOOK_MS = 20; // pause after a picture, in times of what it took; between looks whether it is done
+// pause after a picture, in times of what it took, and where the CPU draws; between looks whether it is done
+const REST = 2, REST_OF_CPU = 5, LOOK_MS = 20;
 const START: Eye = { position: [0, 0, 0], rotation: [1, 0, 0, 0], fovY: Math.PI / 3 };
 
 /** Shows what a source gives on a canvas. Events of `ViewerEvent` say what has changed. */
@@ -115,6 +116,7 @@ export class Viewer extends EventTarget {
       sets: (first, sets) => { if (source === this.#source) this.#takeSets(first, sets); },
       state: (state) => {
         if (source !== this.#source) return;
+        if (state.kind === "complete" && this.#state.kind !== "complete") this.#endPause();
         this.#state = state;
         this.#say("state");
       },
@@ -520,8 +522,16 @@ export class Viewer extends EventTarget {
       if (gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED) return this.#await(begin);
       gl.deleteSync(fence);
       this.#fence = null;
-      this.#until = now + REST * (now - begin);
+      this.#until = now + (isSoftware(gl) ? REST_OF_CPU : REST) * (now - begin);
     }, LOOK_MS);
+  }
+
+  /** Draw what has come at once: nothing more loads that a picture would take cores from. */
+  #endPause(): void {
+    this.#until = 0;
+    clearTimeout(this.#pause);
+    this.#pause = 0;
+    this.#request();
   }
 
   #count(time: number): void {
