@@ -38,7 +38,7 @@ from gsvis.scene.navigable import NavigableSpace
 __all__ = ["VERSIONS", "StageRecord", "Stages", "hash_levels"]
 
 VERSIONS = {
-    "levels": 10,
+    "levels": 11,
     "sets": 7,
     "joined": 4,
     "colors": 10,

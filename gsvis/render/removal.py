@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis.color.sh import write_sh_colors
 from gsvis.progress import Progress, silent
 from gsvis.render._kernels import removal as _kernels_removal
 from gsvis.render.colors import Colors, camera_colors
@@ -22,7 +23,7 @@ from gsvis.render.splats import Projected, View, blend, color_splats, project
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["RemovalEffects", "removal_effects"]
+__all__ = ["RemovalEffects", "Removals", "removal_effects"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -111,23 +112,69 @@ def removal_effects(
         residual = np.zeros(shape[1:], np.float32)
         if images is not None:
             residual = _blend(view, projected, features, behind) - _as_target(images[c])
-        pairs = np.empty((len(projected.members), 4), np.float32)
-        _kernels_removal.remove_tiles(
-            projected.splats,
-            features,
-            projected.offsets,
-            projected.members,
-            projected.pair_of,
-            view.tiles[0],
-            behind,
-            residual,
-            pairs,
-        )
+        pairs = _remove_each(view, projected, features, behind, residual)
         _kernels_removal.add_pairs(pairs, projected.first_pair, projected.order, projected.ids, sums)
         progress("removal", c + 1, len(cameras))
     sums /= 3.0
     absolute, squared, error_change = (np.ascontiguousarray(column) for column in sums.T)
     return RemovalEffects(absolute, squared, error_change, len(cameras) * cameras.height * cameras.width)
+
+
+class Removals:
+    """`RemovalEffects.squared` of Gaussians among others, camera by camera.
+
+    A camera costs as much as it shows, beside the projection of all. The harmonics of the two scenes are not copied.
+
+    Args:
+        gaussians: K Gaussians whose effects are wanted.
+        others: Gaussians that are drawn with them, of the same facts; None for none.
+    """
+
+    def __init__(self, gaussians: Gaussians, others: Gaussians | None = None) -> None:
+        self._parts = [gaussians] if others is None or len(others) == 0 else [gaussians, others]
+        bare = [part.without_harmonics() for part in self._parts]
+        self._all = bare[0] if len(bare) == 1 else Gaussians.concatenate(bare)
+
+    def add(self, camera: Cameras, presence: F32, shown: NDArray[np.bool_] | None, sums: F64) -> None:
+        """Add the effects of one camera without skew to the sums (K,).
+
+        Takes checked arguments: `presence` (N,) in [0, 1] and `shown` (N,) of all Gaussians, as in `removal_effects`.
+        """
+        view = View.from_matrices(camera.viewmats[0], camera.Ks[0], camera.width, camera.height)
+        antialiased = self._all.facts.antialiased
+        projected = project(_arrays_of(self._all, shown), view, antialiased=antialiased, pairs=True)
+        features = np.empty((len(projected.ids), 4), np.float32)
+        self._write_colors(projected.ids, view, features)
+        features[:, 3] = presence[projected.ids]
+        residual = np.zeros((camera.height, camera.width, 3), np.float32)
+        pairs = _remove_each(view, projected, features, np.zeros(3, np.float32), residual)
+        _kernels_removal.add_squares(pairs, projected.first_pair, projected.order, projected.ids, sums)
+
+    def _write_colors(self, ids: NDArray[np.int32], view: View, features: F32) -> None:
+        """Write the colors (M, 3) of splats, whose ids ascend, from each part."""
+        first = 0
+        for part in self._parts:
+            some = slice(*np.searchsorted(ids, [first, first + len(part)]))
+            arrays = part.means, part.sh0, part.shN
+            write_sh_colors(ids[some] - np.int32(first), arrays, part.sh_degree, view.eye, features[some])
+            first += len(part)
+
+
+def _remove_each(view: View, projected: Projected, features: F32, background: F32, residual: F32) -> F32:
+    """Return the (P, 4) sums of every pair of a tile and a splat; see `remove_tiles`."""
+    pairs = np.empty((len(projected.members), 4), np.float32)
+    _kernels_removal.remove_tiles(
+        projected.splats,
+        features,
+        projected.offsets,
+        projected.members,
+        projected.pair_of,
+        view.tiles[0],
+        background,
+        residual,
+        pairs,
+    )
+    return pairs
 
 
 def _arrays_of(g: Gaussians, shown: NDArray[np.bool_] | None) -> Any:

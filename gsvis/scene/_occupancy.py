@@ -279,12 +279,12 @@ def _smooth(counts: NDArray[np.uint8], of: int) -> Depth:
 
 
 def only_visible(g: Gaussians) -> Gaussians:
-    """Return the Gaussians that can be seen.
+    """Return the Gaussians that can be seen, without SH above degree 0, which no search for space reads.
 
     Raises:
         SceneError: If there is none.
     """
-    seen = g[g.opacities >= MIN_ALPHA]
+    seen = g.without_harmonics()[g.opacities >= MIN_ALPHA]
     if len(seen) == 0:
         raise SceneError("no navigable space: the scene has no Gaussian with an opacity of at least 1/255")
     return seen

@@ -162,11 +162,20 @@ class Gaussians:
             raise ValueError("parts: expected at least one scene, got none")
         origin = max(parts, key=len).facts.origin
         parts = [part.with_origin(origin) for part in parts]
-        width = max(part.shN.shape[1] for part in parts)
-        higher = [np.pad(part.shN, ((0, 0), (0, width - part.shN.shape[1]), (0, 0))) for part in parts]
         joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _NAMES[:-1]}
-        facts = SceneFacts.merge([part.facts for part in parts])
-        return cls(**joined, shN=np.concatenate(higher), facts=facts)
+        joined["quats"] = _normalize(joined["quats"])
+        joined["shN"] = _join_harmonics([part.shN for part in parts])
+        return cls._of_valid(joined, SceneFacts.merge([part.facts for part in parts]))
+
+    @classmethod
+    def _of_valid(cls, arrays: dict[str, F32], facts: SceneFacts) -> Gaussians:
+        """Return Gaussians of contiguous arrays that were checked before; a second check would take long."""
+        made: Gaussians = object.__new__(cls)
+        for name, array in arrays.items():
+            array.flags.writeable = False
+            object.__setattr__(made, name, array)
+        object.__setattr__(made, "facts", facts)
+        return made
 
     def __len__(self) -> int:
         return len(self.means)
@@ -177,13 +186,7 @@ class Gaussians:
             index = np.asarray([index])
         if isinstance(index, tuple) or np.ndim(index) > 1:
             raise IndexError("index: expected a slice, a mask, an index array or an integer, got several dimensions")
-        picked: Gaussians = object.__new__(type(self))  # already valid: no second check
-        for name in _NAMES:
-            array = np.ascontiguousarray(getattr(self, name)[index])
-            array.flags.writeable = False
-            object.__setattr__(picked, name, array)
-        object.__setattr__(picked, "facts", self.facts)
-        return picked
+        return self._of_valid({name: np.ascontiguousarray(getattr(self, name)[index]) for name in _NAMES}, self.facts)
 
     def __repr__(self) -> str:
         return f"Gaussians({len(self):,} of SH degree {self.sh_degree})"
@@ -276,6 +279,16 @@ def _normalize(quats: F32) -> F32:
         return quats
     scaled: F32 = (quats / np.sqrt(squared)[:, None]).astype(np.float32)
     return scaled
+
+
+def _join_harmonics(parts: list[F32]) -> F32:
+    """Return coefficients (N, K-1, 3) of several scenes; those of lower degrees are padded with zeros."""
+    joined = np.zeros((sum(map(len, parts)), max(part.shape[1] for part in parts), 3), np.float32)
+    first = 0
+    for part in parts:
+        joined[first : first + len(part), : part.shape[1]] = part
+        first += len(part)
+    return joined
 
 
 def _quat_product(left: F64, right: F64) -> F64:

@@ -7,19 +7,19 @@ to decide visibility. Scene frame; OpenCV cameras.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.scene._kernels.in_sight import mark_crossed
+from gsvis.scene._kernels.in_sight import mark_crossed, mark_seen
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
 __all__ = ["InSight"]
 
-I64 = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _RAYS = 96, 72  # across the image and down it
@@ -34,14 +34,14 @@ class InSight:
 
     Attributes:
         space: Voxels that stop light.
-        voxels: (N,) flat index of the voxel of each Gaussian; -1 for Gaussians that are always in sight, because they
-            are outside of the grid or too large.
+        voxels: (N,) int32 or int64, flat index of the voxel of each Gaussian; -1 for Gaussians that are always in
+            sight, because they are outside of the grid or too large.
         reaches: (N,) index of the reach of each Gaussian.
         walls: Steps in occupied voxels after which a ray ends.
     """
 
     space: NavigableSpace
-    voxels: I64
+    voxels: NDArray[Any]
     reaches: NDArray[np.int8]
     walls: int = _WALLS
 
@@ -58,7 +58,7 @@ class InSight:
         shape = np.array(space.occupied.shape)
         places = np.floor((g.means.astype(np.float64) - space.origin) / space.voxel_size)
         inside = np.all((places >= 0) & (places < shape), axis=1) & bool(space.occupied.size)
-        voxels = np.full(len(g), -1)
+        voxels = np.full(len(g), -1, np.min_scalar_type(-max(space.occupied.size, 1 << 16)))
         voxels[inside] = np.ravel_multi_index(tuple(places[inside].astype(np.int64).T), tuple(shape))
         sizes = _DEVIATIONS * g.scales.max(axis=1) / space.voxel_size
         reaches = np.searchsorted(_REACHES, sizes).astype(np.int8)
@@ -67,21 +67,27 @@ class InSight:
 
     def of(self, camera: Cameras) -> Mask:
         """Return a mask (N,): whether one camera may see each Gaussian."""
-        seen = self.voxels < 0
-        if seen.all():
-            return seen
-        last = int(self.reaches[~seen].max())
-        space = self.space
-        near = np.zeros(space.occupied.shape, bool)
-        eye = (camera.viewpoints[0] - space.origin) / space.voxel_size
-        mark_crossed(np.ascontiguousarray(space.occupied), eye, _directions(camera), self.walls, near)
-        grown = 0
-        for index, reach in enumerate(_REACHES[: last + 1]):
-            near = _grow(near, reach - grown)
-            grown = reach
-            mine = np.flatnonzero((self.reaches == index) & (self.voxels >= 0))
-            seen[mine] = near.ravel()[self.voxels[mine]]
+        seen = np.empty(len(self.voxels), bool)
+        mark_seen(self.voxels, self.reaches, self._near(camera).ravel(), seen)
         return seen
+
+    def only(self, chosen: NDArray[np.int64]) -> InSight:
+        """Return the same for some of the Gaussians, by their (K,) indices."""
+        return replace(self, voxels=self.voxels[chosen], reaches=self.reaches[chosen])
+
+    def _near(self, camera: Cameras) -> NDArray[np.uint8]:
+        """Return (X, Y, Z) voxels; bit r is set for those within reach r of a voxel that a camera has in sight."""
+        space = self.space
+        grown = np.zeros(space.occupied.shape, bool)
+        eye = (camera.viewpoints[0] - space.origin) / space.voxel_size
+        mark_crossed(np.ascontiguousarray(space.occupied), eye, _directions(camera), self.walls, grown)
+        near = np.zeros(grown.shape, np.uint8)
+        last = 0
+        for index, reach in enumerate(_REACHES):
+            grown = _grow(grown, reach - last)
+            last = reach
+            near |= grown.view(np.uint8) << np.uint8(index)
+        return near
 
 
 def _directions(camera: Cameras) -> NDArray[np.float64]:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis._sorting import stable_order
 from gsvis.scene._kernels.morton import morton
 
 __all__ = ["morton_codes", "morton_order"]
@@ -21,7 +22,7 @@ def morton_order(means: ArrayLike) -> I64:
         return np.zeros(0, np.int64)
     low, high = np.quantile(points.astype(np.float64), [0.01, 0.99], axis=0)
     half = max(float((high - low).max()) / 2.0, 1e-9)
-    return np.argsort(morton_codes(points, (low + high) / 2.0, half), kind="stable")
+    return stable_order(morton_codes(points, (low + high) / 2.0, half))
 
 
 def morton_codes(means: NDArray[np.float32], center: NDArray[np.float64], half: float) -> U64:

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis.jobs.in_order import in_order
 from gsvis.jobs.resume import KeptWork
 from gsvis.progress import Progress, silent
-from gsvis.render.removal import removal_effects
+from gsvis.render.removal import Removals
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.in_sight import InSight
@@ -49,6 +50,7 @@ _TRIED = 16  # cameras from which the number of looks is found
 _BINS = 2048
 _PER_OCTAVE = 16
 _LOWEST = -110
+_BLOCK = 1 << 16  # Gaussians
 
 
 @dataclass(frozen=True)
@@ -190,12 +192,12 @@ class _State:
         self.scene = g
         self.cameras = cameras
         self.sight = sight
-        self.kept = kept
         self.sums = sums
         self.stand_ins = stand_ins
         self.seen = _seen(len(g), cameras, sight)
+        self._keep(kept)
         self._left = g if len(kept) == len(g) else g[kept]
-        self._drawn = self._left if stand_ins is None else Gaussians.concatenate([self._left, stand_ins.gaussians])
+        self._removals = Removals(self._left, None if stand_ins is None else stand_ins.gaussians)
 
     def look(self, batch: NDArray[np.int64], count: int) -> None:
         """Measure by some cameras, with each Gaussian present by its probability to be among `count`."""
@@ -205,26 +207,33 @@ class _State:
         presence = chances if there is None else np.concatenate([chances, there])
         for index in batch:
             camera = self.cameras[[index]]
-            found = removal_effects(self._drawn, camera, presence=presence, shown=self._shown_by(camera))
-            self.sums += found.squared[: len(self.kept)]
+            self._removals.add(camera, presence, self._shown_by(camera), self.sums)
 
     def _shown_by(self, camera: Cameras) -> Mask | None:
         """Return the Gaussians to draw that one camera may see; None for all."""
-        if self.sight is None:
+        if self._left_in_sight is None:
             return None
-        own = self.sight.of(camera)[self.kept]
+        own = self._left_in_sight.of(camera)
         return own if self.stand_ins is None else np.concatenate([own, self.stand_ins.shown_by(camera)])
 
     def _worth(self) -> F64:
         """Return the worth (K,) of each: between its mean loss over all cameras and over those that see it."""
-        return np.asarray(self.seen[self.kept] ** -_FAIRNESS * self.sums)
+        return np.asarray(self._rarity * self.sums)
+
+    def _keep(self, kept: NDArray[np.int64]) -> None:
+        """Note the (K,) remaining Gaussians."""
+        self.kept = kept
+        self._left_in_sight = None if self.sight is None else self.sight.only(kept)
+        self._rarity = self.seen[kept] ** -_FAIRNESS
 
     def cut(self, count: int) -> NDArray[np.int64]:
         """Keep the `count` Gaussians of most worth; return the others."""
         stays = most_important(self._left, self._worth(), count)
         gone = self.kept[~stays]
-        self.kept, self.sums = self.kept[stays], _BEFORE * self.sums[stays]
-        self._drawn = self._left = self.scene[self.kept]
+        self._keep(self.kept[stays])
+        self.sums = _BEFORE * self.sums[stays]
+        self._left = self.scene[self.kept]
+        self._removals = Removals(self._left)
         self.stand_ins = None
         return gone
 
@@ -240,10 +249,16 @@ def stay_chances(worth: F64, share: float) -> NDArray[np.float32]:
         share: Share that stays, in (0, 1].
     """
     top = float(worth.max(initial=0.0))
-    with np.errstate(divide="ignore"):
-        octaves = np.log2(worth / top) if top > 0.0 else np.full(len(worth), -np.inf)
-    octaves = np.maximum(octaves, _LOWEST)  # -110 for Gaussians that no camera has seen
-    held = np.bincount(((octaves - _LOWEST) * _PER_OCTAVE).astype(np.int64), minlength=_BINS)
+    octaves = np.empty(len(worth))
+    held = np.zeros(_BINS, np.int64)
+
+    def measure(some: slice) -> NDArray[np.int64]:
+        """Find the octaves of some Gaussians; return how many each bin holds."""
+        octaves[some] = _octaves_below(top, worth[some])
+        return np.bincount(((octaves[some] - _LOWEST) * _PER_OCTAVE).astype(np.int64), minlength=_BINS)
+
+    for counts in in_order(measure, _blocks(len(worth))):
+        held += counts
     middles = _LOWEST + (np.arange(len(held)) + 0.5) / _PER_OCTAVE
     middles[0] = _LOWEST
     low = 2.0 * _LOWEST
@@ -254,7 +269,24 @@ def stay_chances(worth: F64, share: float) -> NDArray[np.float32]:
             low = middle
         else:
             high = middle
-    return _logistic(octaves - 0.5 * (low + high)).astype(np.float32)
+    middle = 0.5 * (low + high)
+    chances = np.empty(len(worth), np.float32)
+
+    def decide(some: slice) -> None:
+        """Find the chances of some Gaussians."""
+        chances[some] = _logistic(octaves[some] - middle)
+
+    for _ in in_order(decide, _blocks(len(worth))):
+        pass
+    return chances
+
+
+def _octaves_below(top: float, worth: F64) -> F64:
+    """Return the logarithms to base 2 of worth relative to the largest; -110 for what no camera has seen."""
+    if top <= 0.0:
+        return np.full(len(worth), float(_LOWEST))
+    with np.errstate(divide="ignore"):
+        return np.maximum(np.log2(worth / top), _LOWEST)
 
 
 def _logistic(octaves: F64) -> F64:
@@ -263,13 +295,20 @@ def _logistic(octaves: F64) -> F64:
     return np.asarray(np.maximum(chances, _LEAST_CHANCE))
 
 
+def _blocks(count: int) -> list[slice]:
+    """Return slices of a number of rows that fit a cache."""
+    return [slice(k, min(k + _BLOCK, count)) for k in range(0, count, _BLOCK)]
+
+
 def _seen(n: int, cameras: Cameras, sight: InSight | None) -> F64:
     """Return the share (N,) of the cameras with each Gaussian in sight, in rooms; 1 elsewhere."""
     if sight is None or sight.space.kind.kind != "rooms":
         return np.ones(n)
     tried = range(min(_POLLED, len(cameras)))
-    seen = np.sum([sight.of(cameras[[index]]) for index in tried], axis=0, dtype=np.float64) / max(len(tried), 1)
-    return np.asarray(seen + _SELDOM)
+    seen = np.zeros(n)
+    for index in tried:
+        seen += sight.of(cameras[[index]])
+    return np.asarray(seen / max(len(tried), 1) + _SELDOM)
 
 
 def _share_in_sight(cameras: Cameras, sight: InSight | None) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.jobs.in_order import in_order
 from gsvis.scene.gaussians import Gaussians, quats_from_rotations
 
 __all__ = ["mean_shadows", "merge_by_cell", "merge_gaussians", "occupied_voxels"]
@@ -105,14 +106,19 @@ def merge_by_cell(g: Gaussians, cells: I64) -> Gaussians:
     order = np.argsort(cells, kind="stable")
     ends = np.append(np.searchsorted(cells[order], np.arange(number)), len(order))
     middle = np.median(g.means, axis=0).astype(np.float64)
-    parts = []
+    parts: list[slice] = []
     first = 0
     while first < number:
         last = max(first + 1, int(np.searchsorted(ends, ends[first] + _PART, side="right")) - 1)
-        rows = order[ends[first] : ends[last]]
-        parts.append(_merge_runs(g[rows], ends[first:last] - ends[first], middle))
+        parts.append(slice(first, last))
         first = last
-    return Gaussians.concatenate(parts)
+
+    def merge(part: slice) -> Gaussians:
+        """Merge the Gaussians of some cells."""
+        start = ends[part.start]
+        return _merge_runs(g[order[start : ends[part.stop]]], ends[part] - start, middle)
+
+    return Gaussians.concatenate(list(in_order(merge, parts)))
 
 
 def _merge_runs(g: Gaussians, starts: I64, middle: F64) -> Gaussians:

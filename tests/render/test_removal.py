@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gsvis.render import rasterize, removal_effects
+from gsvis.render.removal import Removals
 from gsvis.render.removal_reference import removal_reference
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -179,3 +180,20 @@ def test_what_is_not_shown_is_as_if_not_given() -> None:
         assert not getattr(masked, name)[~shown].any()
     with pytest.raises(ValueError, match="shown: expected bool"):
         removal_effects(g, views(), shown=shown[:5])
+
+
+def test_effects_of_some_among_others_are_those_among_all() -> None:
+    g = scene("mixed", n=120)
+    cameras = views()
+    rng = np.random.default_rng(4)
+    presence = rng.random(len(g)).astype(np.float32)
+    shown = rng.random(len(g)) < 0.7
+    first = len(g) // 2
+    removals = Removals(g[:first], g[first:])
+    sums = np.ones(first)
+    expected = np.ones(first)
+    for c in range(len(cameras)):
+        removals.add(cameras[c], presence, shown, sums)
+        expected += removal_effects(g, cameras[c], presence=presence, shown=shown).squared[:first]
+    np.testing.assert_array_equal(sums, expected)
+    assert (sums > 1.0).any()

@@ -53,6 +53,19 @@ def test_a_space_without_walls_hides_nothing() -> None:
     assert InSight.from_scene(Gaussians.empty(), space).of(along(0.0, 5.0)).shape == (0,)
 
 
+def test_some_of_the_gaussians_are_in_sight_as_among_all() -> None:
+    rng = np.random.default_rng(5)
+    n = 300
+    means = rng.uniform(-12.0, 12.0, (n, 3)) * [1.0, 0.5, 0.5]
+    scales = np.repeat(rng.uniform(0.01, 3.0, (n, 1)), 3, axis=1)
+    g = Gaussians(means, [[1, 0, 0, 0]] * n, scales, [0.9] * n, np.ones((n, 1, 3)))
+    sight = InSight.from_scene(g, walled())
+    chosen = rng.permutation(n)[:120]
+    seen = sight.of(along(-6.0, 0.0))
+    assert 0 < seen.sum() < n
+    np.testing.assert_array_equal(sight.only(chosen).of(along(-6.0, 0.0)), seen[chosen])
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_nearly_all_light_of_rooms_is_in_sight_and_most_gaussians_are_not(seed: int) -> None:
     scene = two_rooms(8_000, sh_degree=0)

@@ -91,7 +91,7 @@ def test_prices_are_those_of_the_plain_twin() -> None:
     near = np.tile(np.arange(30), (30, 1))
     best = np.empty((30, 4), np.int64)
     prices = np.empty((30, 4))
-    price_neighbors(near, means, upper, weights, colors, 0.1, best, prices)
+    price_neighbors(np.arange(30), near, means, upper, weights, colors, 0.1, best, prices)
     expected = np.full((30, 30), np.inf)
     for i in range(30):
         for j in range(30):

@@ -1,6 +1,6 @@
-"""Numba kernel of the scene room: mark the voxels that rays cross before they are stopped.
+"""Numba kernels of the scene room: mark the voxels that rays cross before they are stopped, and what lies near them.
 
-It takes checked, contiguous arrays, never raises and knows no classes. `in_sight.py` prepares and calls it.
+They take checked, contiguous arrays, never raise and know no classes. `in_sight.py` prepares and calls them.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis._kernels.compiled import kernel
+from gsvis._kernels.threads import in_parts
 
-__all__ = ["mark_crossed"]
+__all__ = ["mark_crossed", "mark_seen"]
 
 _STEP = 0.7  # voxels
 
@@ -61,3 +62,21 @@ def mark_crossed(
                 if occupied[x, y, z]:
                     met += 1
             t += _STEP
+
+
+@in_parts(lambda voxels, *_: len(voxels))
+@kernel
+def mark_seen(first, last, voxels, reaches, near, seen):
+    """Mark the Gaussians of a range of rows that may be in sight.
+
+    Args:
+        first: First row of the range.
+        last: Row after the last one.
+        voxels: (N,) int32 or int64 flat index of the voxel of each; negative for those always in sight.
+        reaches: (N,) int8 index of the reach of each, at most 7.
+        near: (V,) uint8; bit r of a voxel is set if it lies within reach r of a voxel in sight.
+        seen: (N,) bool result.
+    """
+    for k in range(first, last):
+        voxel = voxels[k]
+        seen[k] = voxel < 0 or (near[voxel] >> reaches[k]) & 1 != 0

