@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +34,8 @@ from gsvis.cli.terminal import Status, busy_note, clock, facts, print_json, show
 from gsvis.cli.where import check_where, kind_row, space_document
 from gsvis.color.epsilon import DEFAULT_EPSILON
 from gsvis.files.output import check_folder
+from gsvis.files.shelf import LARGE, Shelf
+from gsvis.files.temporary import temporary_folder
 from gsvis.io.sources import check_source, is_builtin, is_levels
 from gsvis.package.made_from import note_paths
 from gsvis.package.original import about_source
@@ -73,9 +75,11 @@ def run_prepare(command: Prepare) -> None:
     workers = local_workers(command.work)
     device = choose_device(command.work.device)
     config = _on_device(config, device)
-    with Status() as status, naming(**MEMORY):
+    with Status() as status, naming(**MEMORY), ExitStack() as opened:
         say_device(device, status)
         source = open_source(command.scene, command.lod, status, "see")
+        if not command.work.dry_run:
+            source = opened.enter_context(_mapped(source, Path(command.out).absolute().parent))
         if command.meters_per_unit is None:
             config = replace(config, meters_per_unit=source.gaussians.facts.meters_per_unit or 0.0)
         settled, space, remarks = settle_space(
@@ -111,6 +115,18 @@ def run_prepare(command: Prepare) -> None:
         _print_estimate(command, source, space, estimate, [*remarks, settled.written])
     else:
         _print_result(command, source, space, prepared, remarks)
+
+
+@contextmanager
+def _mapped(source: Source, root: Path) -> Iterator[Source]:
+    """Yield a source for this block; a large one lies in a temporary file, and leaves memory where it is not used."""
+    if source.union.nbytes < LARGE:
+        yield source
+        return
+    with temporary_folder(root) as folder:
+        mapped = Shelf(folder).put(source)
+        del source
+        yield mapped
 
 
 def _on_device(config: PrepareConfig, device: Device) -> PrepareConfig:

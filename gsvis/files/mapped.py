@@ -14,7 +14,7 @@ import os
 import re
 import shutil
 import struct
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -29,7 +29,15 @@ from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import DAMAGED, open_regular
 from gsvis.files.sums import PIECE, seal, unseal, word_sums
 
-__all__ = ["ArrayFiles", "ArrayLists", "GrowingArrays", "MappedArrays", "resident_bytes", "write_arrays"]
+__all__ = [
+    "ArrayFiles",
+    "ArrayLists",
+    "GrowingArrays",
+    "MappedArrays",
+    "release_mapped",
+    "resident_bytes",
+    "write_arrays",
+]
 
 _MAGIC = b"\x93gsvis2\n"
 _HEAD = struct.Struct("<8sQ")  # magic, bytes of the sealed JSON after it
@@ -302,7 +310,7 @@ class MappedArrays:
                 k = int(bad[0])
                 got = f"bytes with checksum {found[k]:016x}, not {known[first + k]:016x}"
                 raise FormatError(self.path, f"byte {place:,}", "the bytes that were written", got, DAMAGED)
-            self._give_back(self._start + low, self._start + low + 8 * len(words))
+            _give_back(self._map, self._start + low, self._start + low + 8 * len(words))
 
     def release(self, shares: Sequence[tuple[float, float]] | None = None) -> None:
         """Give back the memory of pages; a page that is touched again comes from the file.
@@ -314,18 +322,11 @@ class MappedArrays:
             shares: Which shares of each array, each from one number in [0, 1] to another; None means all.
         """
         if shares is None:
-            self._give_back(0, len(self._map))
+            _give_back(self._map, 0, len(self._map))
             return
         for place, size in self._lines:
             for low, high in shares:
-                self._give_back(place + int(size * low), place + int(size * high))
-
-    def _give_back(self, start: int, end: int) -> None:
-        """Release the memory of the system's pages that lie within a range of bytes."""
-        first = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE
-        size = end // mmap.PAGESIZE * mmap.PAGESIZE - first
-        if size > 0 and hasattr(self._map, "madvise"):
-            self._map.madvise(mmap.MADV_DONTNEED, first, size)
+                _give_back(self._map, place + int(size * low), place + int(size * high))
 
     @cached_property
     def _lines(self) -> list[tuple[int, int]]:
@@ -340,12 +341,38 @@ class MappedArrays:
         return sorted(found)
 
 
+def release_mapped(values: Iterable[object]) -> None:
+    """Give back the memory of read-only arrays that lie in mapped files, as `MappedArrays.release`.
+
+    The pages at the ends of an array stay, and so does everything else.
+    """
+    for array in values:
+        if not isinstance(array, np.ndarray):
+            continue
+        base: Any = array
+        while isinstance(base, np.ndarray):
+            base = base.base
+        file = base.obj if isinstance(base, memoryview) else base
+        if not isinstance(file, mmap.mmap) or array.flags.writeable or not array.flags.c_contiguous:
+            continue
+        place = array.ctypes.data - np.frombuffer(file, np.uint8).ctypes.data
+        _give_back(file, place, place + array.nbytes)
+
+
 def resident_bytes() -> int:
     """Return the bytes of files in this process's memory, including shared ones; 0 if the system does not report it."""
     try:
         return int(Path("/proc/self/statm").read_bytes().split()[2]) * mmap.PAGESIZE
     except (OSError, IndexError, ValueError):
         return 0
+
+
+def _give_back(file: mmap.mmap, start: int, end: int) -> None:
+    """Release the memory of the system's pages that lie within a range of bytes of a mapped file."""
+    first = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE
+    size = end // mmap.PAGESIZE * mmap.PAGESIZE - first
+    if size > 0 and hasattr(file, "madvise"):
+        file.madvise(mmap.MADV_DONTNEED, first, size)
 
 
 def _with_flag(array: NDArray[Any], is_writeable: bool) -> NDArray[Any]:

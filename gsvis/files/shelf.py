@@ -11,7 +11,10 @@ import numpy as np
 
 from gsvis.files.mapped import MappedArrays, write_arrays
 
-__all__ = ["Shelf", "Shelved", "shelve"]
+__all__ = ["LARGE", "Shelf", "Shelved", "shelve"]
+
+LARGE = 256 << 20
+"""Bytes of a scene from which its arrays lie in a file while a package is prepared."""
 
 _Thing = TypeVar("_Thing")
 

@@ -24,7 +24,7 @@ from gsvis.files.arrow import ArrowFile, write_arrow
 from gsvis.files.atomic import atomic_folder, find_interrupted_moves
 from gsvis.files.fields import Fields
 from gsvis.files.limits import Budget, digest_of, safe_name
-from gsvis.io.ply import load_ply, save_ply
+from gsvis.io.ply import load_ply, save_ply_parts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
@@ -102,11 +102,13 @@ def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[s
         kept = json.loads(json.dumps(dict(extra or {}), allow_nan=False))
     except (TypeError, ValueError) as error:
         raise ValueError(f"extra: expected JSON values, got {error}") from error
+    union = levels.union
     with atomic_folder(folder, last=(MAP,)) as partial:
         rows = []
         for k, name in enumerate(levels.names):
-            save_ply(levels.level(k), partial / f"{name}.ply")
-            digest = digest_of(partial / f"{name}.ply")
+            path = partial / f"{name}.ply"
+            save_ply_parts(_parts_of(levels, k), path, levels.counts[k], union.sh_degree, union.facts)
+            digest = digest_of(path)
             rows.append({"name": name, "file": f"{name}.ply", "count": levels.counts[k], "sha256": digest})
         header = {
             "format": FORMAT,
@@ -144,9 +146,12 @@ def load_levels(folder: str | os.PathLike[str]) -> Levels:
             if len(scene) != count:
                 raise FormatError(path, "", f"{count:,} Gaussians as the map says", f"{len(scene):,}", _AGAIN)
             parts.append(scene[new])
+            del scene
             places.append(np.flatnonzero(member)[new])
-    order = np.argsort(np.concatenate(places), kind="stable")
-    union = Gaussians.concatenate(parts)[order]
+    joined = Gaussians.concatenate(parts)
+    parts.clear()
+    union = joined[np.argsort(np.concatenate(places), kind="stable")]
+    del joined
     try:
         exact = Gaussians(union.means, union.quats, scales, opacities, union.sh0, union.shN, facts=union.facts)
         return Levels(exact, first, last, info.names)
@@ -194,6 +199,13 @@ def check_levels_target(folder: str | os.PathLike[str], names: Sequence[str], wh
             problem = f"{wanted}, which has a {name}.ply that no {MAP} knows"
             raise ArgumentError("folder", problem, "name another, or move it away")
     return info
+
+
+def _parts_of(levels: Levels, level: int) -> Iterator[Gaussians]:
+    """Yield the Gaussians of a level, a part at a time."""
+    ids = np.flatnonzero(levels.member(level))
+    for start in range(0, len(ids), _ROWS):
+        yield levels.union[ids[start : start + _ROWS]]
 
 
 def _batches(levels: Levels) -> Iterator[pa.RecordBatch]:

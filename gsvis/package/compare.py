@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.srbf import SrbfColors
+from gsvis.files.mapped import release_mapped
 from gsvis.package.active_terms import ActiveTerms
 from gsvis.package.cell_terms import CellTerms
 from gsvis.package.contents import Contents
@@ -68,11 +69,13 @@ def measure_fidelity(
     """
     if len(cameras) == 0:
         raise ValueError("cameras: expected at least one, got none")
-    draw = _Steps(scene, contents, exact, sets, active)
-    values: dict[str, list[float]] = {}
     progress("fidelity", 0, len(cameras))
+    wanted = [_rasterize(scene, cameras[c]) for c in range(len(cameras))]
+    release_mapped(vars(scene).values())
+    draw = _Steps(contents, exact, sets, active)
+    values: dict[str, list[float]] = {}
     for c in range(len(cameras)):
-        images = draw(cameras[c])
+        images = {"scene": wanted[c], **draw(cameras[c])}
         found = {"records": _psnr(images["rounding"], images["scene"])}
         if "cells" in images:
             found["cell"] = _psnr(images["cells"], images["scene"])
@@ -86,17 +89,15 @@ def measure_fidelity(
 
 
 class _Steps:
-    """Draws views of the source scene, and of the scene after each step toward a client."""
+    """Draws views of a scene after each step toward a client."""
 
     def __init__(
         self,
-        scene: Gaussians,
         contents: Contents,
         exact: ExactLevel | None,
         sets: VisibilityStore | None,
         active: CellTerms | ActiveTerms | None,
     ) -> None:
-        self._scene = scene
         self._exact = exact
         self._sets = sets
         self._active = active
@@ -108,9 +109,9 @@ class _Steps:
         self._after = Evaluator(contents.colors().dequantize())
 
     def __call__(self, camera: Cameras) -> dict[str, F32]:
-        """Return images (H, W, 3) by name: "scene" for the source, then one for each of `STEPS` that is known."""
+        """Return images (H, W, 3) by name: one for each of `STEPS` that is known."""
         eye = camera.viewpoints[0]
-        images = {"scene": _rasterize(self._scene, camera)}
+        images: dict[str, F32] = {}
         if self._exact is not None and self._before is not None:
             g = self._exact.gaussians
             images["levels"] = _rasterize(g, camera)

@@ -63,7 +63,7 @@ def judge_tile(
         progress: Called with stage "judge", in views.
     """
     top = len(levels) - 1
-    own = levels.level(len(levels) - 1)
+    own = levels.bare_level(top)
     mine, judges = judging_views(own, views, space, whole=levels)
     judges = _within(judges, space)
     joint = levels if around is None else around[0].joined(levels)
@@ -78,9 +78,9 @@ def judge_tile(
             seen[store.visible_ids(cell)] = True
             if beyond is not None:
                 seen[first + beyond.visible_ids(cell)] = True
-            return seen[member]
+            return seen & member
 
-        return judge_images(joint.union[member], store.grid, held, mine, judges, progress=progress)
+        return judge_images(joint.drawn_level(top), store.grid, held, mine, judges, progress=progress)
     finally:
         if beyond is not None:
             beyond.close()

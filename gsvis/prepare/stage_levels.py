@@ -59,15 +59,18 @@ def run_levels(stages: Stages) -> tuple[Levels, dict[str, Any] | None]:
         found = reuse_levels(stages)
         if found is None:
             done.append(True)
-            found = _train(stages, stages.work.at(name_levels(stages)))
+            folder = stages.work.at(name_levels(stages))
+            _train(stages, folder)
+            stages.rest()
+            found = load_levels(folder)
         extra = levels_info(stages.work.at(name_levels(stages))).extra if stages.trains else None
     judged = (extra or {}).get("judged") or []
     stages.remarks += [each["warning"] for each in judged if each["warning"]][:1]
     return found, extra
 
 
-def _train(stages: Stages, folder: Path) -> Levels:
-    """Train, measure and save levels, and return them as saved."""
+def _train(stages: Stages, folder: Path) -> None:
+    """Train, measure and save levels."""
     assert isinstance(stages.scene, Gaussians)
     assert stages.config.levels is not None
     shutil.rmtree(folder, ignore_errors=True)
@@ -96,9 +99,11 @@ def _train(stages: Stages, folder: Path) -> Levels:
         if quality.photo_psnr is not None:
             record["psnr_photographs"] = _spreads(quality.photo_psnr)
     record["judged"] = [each.as_dict() for each in made.judged]
-    save_levels(in_package_order(made.trained.levels), folder, record)
+    levels = in_package_order(made.trained.levels)
+    del made, views
+    stages.rest()
+    save_levels(levels, folder, record)
     shutil.rmtree(begun, ignore_errors=True)
-    return load_levels(folder)
 
 
 def _views(stages: Stages) -> LevelViews:

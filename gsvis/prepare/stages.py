@@ -21,6 +21,8 @@ from typing import Any
 from gsvis.files.atomic import atomic_path
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import read_whole
+from gsvis.files.mapped import release_mapped
+from gsvis.files.shelf import LARGE, Shelf
 from gsvis.jobs.freed_memory import release_freed_memory
 from gsvis.jobs.work_folder import WorkFolder, digest_of_folder
 from gsvis.prepare.config import PrepareConfig
@@ -158,8 +160,26 @@ class Stages:
         began = time.perf_counter()
         done = list[bool]()
         yield done
-        release_freed_memory()
+        self.rest()
         self.records.append(StageRecord(name, not done, time.perf_counter() - began))
+
+    def shelve(self, levels: Levels) -> Levels:
+        """Return levels; the arrays of large ones lie in a file of the working folder, and leave memory on `rest`."""
+        if levels.union.nbytes < LARGE:
+            return levels
+        return self._shelf.put(levels)
+
+    @cached_property
+    def _shelf(self) -> Shelf:
+        """The files of large objects, which `WorkFolder.clear` removes at the end."""
+        return Shelf(self.work.folder / "shelf")
+
+    def rest(self) -> None:
+        """Give back memory between two pieces of work: what was freed, and what can be read again."""
+        self._shelf.release()
+        if isinstance(self.scene, Gaussians):
+            release_mapped(vars(self.scene).values())
+        release_freed_memory()
 
 
 def hash_levels(levels: Levels) -> dict[str, Any]:

@@ -338,7 +338,8 @@ def _check_twice(work: Work, scene: SceneArrays, progress: Progress) -> dict[str
     progress("check", 0, 1)
     tracer = scene.tracer()
     if tracer is None:
-        tracer = Tracer.named(work.config.tracer, EllipsoidProxies.from_scene(work.levels.level(len(work.levels) - 1)))
+        top = work.levels.bare_level(len(work.levels) - 1)
+        tracer = Tracer.named(work.config.tracer, EllipsoidProxies.from_scene(top))
     found = cross_check(tracer, rays[:, :3], rays[:, 3:])
     progress("check", 1, 1)
     return None if found is None else asdict(found)

@@ -45,17 +45,16 @@ def judge_sets(
         views: The builder's views; judge's views are as many, of the same size.
         progress: Called with stage "judge", in views.
     """
-    member = scene.member(len(scene) - 1)
-    g = scene.union[member]
+    top = len(scene) - 1
 
     def held(cell: int) -> NDArray[np.bool_]:
-        """Return which Gaussians the set of a cell holds."""
-        seen = np.zeros(len(member), bool)
+        """Return which Gaussians of the highest level the set of a cell holds."""
+        seen = np.zeros(len(scene.union), bool)
         seen[store.visible_ids(cell)] = True
-        return seen[member]
+        return seen & scene.member(top)
 
-    mine, judges = judging_views(g, views, space, whole=scene)
-    return judge_images(g, store.grid, held, mine, judges, progress=progress)
+    mine, judges = judging_views(scene.bare_level(top), views, space, whole=scene)
+    return judge_images(scene.drawn_level(top), store.grid, held, mine, judges, progress=progress)
 
 
 def judge_images(

@@ -96,6 +96,14 @@ class Levels:
         """Return the Gaussians of a level, in the order of the union."""
         return self.union[self.member(level)]
 
+    def bare_level(self, level: int) -> Gaussians:
+        """Return the Gaussians of a level without SH above degree 0, for work that needs no colors."""
+        return self.union.without_harmonics()[self.member(level)]
+
+    def drawn_level(self, level: int) -> Gaussians:
+        """Return the union, not copied, of which only a level is visible: for images of the level."""
+        return self.union.showing(self.member(level))
+
     @property
     def counts(self) -> tuple[int, ...]:
         """Number of Gaussians of each level."""

@@ -70,7 +70,7 @@ def measure_levels(
     progress("measure", 0, count * len(levels))
     images: list[NDArray[np.float32]] = []  # of the highest level, which is measured first
     for place, k in enumerate(reversed(range(len(levels)))):
-        gaussians = levels.level(k)  # one at a time: each is a copy
+        gaussians = levels.drawn_level(k)
         for c in range(count):
             drawn = display_image(gaussians, views.cameras[c], backend)
             brightness[k] += float(drawn.mean(dtype=np.float64)) / count
@@ -104,20 +104,19 @@ def judge_levels(
         backend: Backend of the rasterizer.
         progress: Called with stage "judge", in views of all levels.
     """
-    top = levels.level(len(levels) - 1)
-    judges = find_judges(top, views, None if space is None else space.witnesses)
+    judges = find_judges(levels.bare_level(len(levels) - 1), views, None if space is None else space.witnesses)
     cameras = [each[c] for each in (mine, judges.cameras) for c in range(len(each))]
     below = len(levels) - 1
     total = len(cameras) * (below + 1)
     found = np.empty((below, len(cameras)))
     progress("judge", 0, total)
     whole = []
+    top = levels.drawn_level(len(levels) - 1)
     for camera in cameras:
         whole.append(display_image(top, camera, backend))
         progress("judge", len(whole), total)
-    del top
     for k in range(below):
-        gaussians = levels.level(k)  # one at a time: each is a copy
+        gaussians = levels.drawn_level(k)
         for number, camera in enumerate(cameras):
             drawn = display_image(gaussians, camera, backend)
             found[k, number] = min(float(psnr(drawn, whole[number])), MOST_PSNR)

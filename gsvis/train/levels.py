@@ -306,6 +306,7 @@ def train_levels(
         result = trainer.run(checkpoint=kept, progress=report)
         owns.append(result.gaussians[frozen:])
         histories[name] = result.history
+        del trainer, result, begin  # before the next one, or the union
     own = np.repeat(np.arange(top, dtype=np.uint8), [len(part) for part in owns])
     last = np.concatenate([np.full(len(scene), top, np.uint8), own])
     union = Gaussians.concatenate([scene, *owns])

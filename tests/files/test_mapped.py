@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gsvis.errors import FormatError
-from gsvis.files.mapped import ArrayFiles, MappedArrays, write_arrays
+from gsvis.files.mapped import ArrayFiles, MappedArrays, release_mapped, resident_bytes, write_arrays
 
 
 def test_arrays_that_grow_in_pieces_are_read_as_those_written_at_once(tmp_path: Path) -> None:
@@ -52,6 +52,19 @@ def test_what_is_released_reads_as_before_and_only_shares_of_each_line_are(tmp_p
     found.release()
     for name, whole in arrays.items():
         assert np.array_equal(found.arrays[name], whole)
+
+
+@pytest.mark.skipif(resident_bytes() == 0, reason="this system does not tell which files are in memory")
+def test_arrays_know_the_file_that_they_lie_in(tmp_path: Path) -> None:
+    large = np.random.default_rng(2).random((1 << 20, 2))
+    large.flags.writeable = False
+    write_arrays(tmp_path / "x", {"large": large}, {})
+    found = MappedArrays(tmp_path / "x").arrays["large"].view()
+    np.testing.assert_array_equal(found, large)
+    before = resident_bytes()
+    release_mapped([found, found[1::2], large, "no array", large.copy()])
+    assert resident_bytes() < before - large.nbytes // 2
+    np.testing.assert_array_equal(found, large)
 
 
 def test_a_change_of_any_byte_that_counts_is_found(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from PIL import Image
 from gsvis.color.fit import FitConfig
 from gsvis.color.records import PRECISIONS
 from gsvis.errors import FormatError, SceneError
+from gsvis.files.shelf import Shelf
 from gsvis.jobs.workers import Workers
 from gsvis.package import Package, Spread, in_package_order
 from gsvis.package.fidelity import STEPS
@@ -217,14 +218,21 @@ def test_a_run_that_is_stopped_goes_on_and_gives_the_same_bytes(
 
 
 @pytest.mark.usefixtures("warm_processes")
-def test_the_same_bytes_with_two_processes(made: tuple[Path, Prepared], rooms: OccluderScene, tmp_path: Path) -> None:
+def test_the_same_bytes_with_two_processes_and_from_files(
+    made: tuple[Path, Prepared], rooms: OccluderScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gsvis.prepare.stages.LARGE", 0)  # every scene is large
+    mapped = replace(rooms, gaussians=Shelf(tmp_path / "shelf").put(rooms.gaussians))
     out = tmp_path / "rooms.gsvis"
-    shutil.copytree(made[1].work, tmp_path / "rooms.gsvis.work")
-    for path in (tmp_path / "rooms.gsvis.work").glob("sets-*"):
-        path.unlink()
-    found = prepare(rooms, out, workers=Workers(2))
-    assert new(found) == ["sets", "package"]
+    work = tmp_path / "rooms.gsvis.work"
+    shutil.copytree(made[1].work, work)
+    for stage in ("sets", "cost", "fidelity", "judged"):
+        for path in work.glob(f"{stage}-*"):
+            path.unlink()
+    found = prepare(mapped, out, workers=Workers(2))
+    assert new(found) == ["sets", "cost", "fidelity", "package"]
     assert files(out) == files(made[0])
+    assert not (work / "shelf").exists()
 
 
 def test_damage_in_what_is_kept_is_seen_and_mended(
