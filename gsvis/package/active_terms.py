@@ -355,7 +355,7 @@ def colors_hash(colors: SrbfColors) -> str:
         array = np.ascontiguousarray(getattr(colors, name))
         little = array.astype(array.dtype.newbyteorder("<"), copy=False)
         digest.update(f"{name} {array.shape}\n".encode())
-        digest.update(little.tobytes())
+        digest.update(little.data if little.size else b"")
     return digest.hexdigest()
 
 

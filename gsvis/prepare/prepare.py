@@ -159,7 +159,6 @@ def finish_package(
     with work.opened():
         before = _parts_of(target)
         levels, quality = run_levels(stages)
-        levels = stages.shelve(levels)
         sets = run_sets(stages, levels, workers)
         with VisibilityStore.open(sets, scene=levels.union) as store:
             colors = run_colors(stages, levels, store)
@@ -173,9 +172,7 @@ def finish_package(
         with VisibilityStore.open(shipped, scene=levels.union) as store:
             fidelity = run_fidelity(stages, levels, exact, contents, store, epsilon.value)
             judged = run_judges(stages, levels, store)
-            stages.rest()
             overdraw = run_overdraw(stages, levels, store)
-            stages.rest()
             listed = run_terms(stages, levels, contents, store, epsilon.value)
             certificates = store.certificates
             twice = store.info.config.get("traced_twice")

@@ -54,7 +54,10 @@ def reuse_levels(stages: Stages) -> Levels | None:
 
 
 def run_levels(stages: Stages) -> tuple[Levels, dict[str, Any] | None]:
-    """Return the levels in the order of a package, and the record of their quality; None if none were trained."""
+    """Return the levels in the order of a package, and the record of their quality; None if none were trained.
+
+    Large levels lie in files, see `Stages.shelve`.
+    """
     with stages.stage("levels") as done:
         found = reuse_levels(stages)
         if found is None:
@@ -66,7 +69,7 @@ def run_levels(stages: Stages) -> tuple[Levels, dict[str, Any] | None]:
         extra = levels_info(stages.work.at(name_levels(stages))).extra if stages.trains else None
     judged = (extra or {}).get("judged") or []
     stages.remarks += [each["warning"] for each in judged if each["warning"]][:1]
-    return found, extra
+    return stages.shelve(found), extra
 
 
 def _train(stages: Stages, folder: Path) -> None:

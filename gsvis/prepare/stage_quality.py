@@ -105,6 +105,7 @@ def run_judges(stages: Stages, levels: Levels, store: VisibilityStore) -> dict[s
         if stages.one_level or around is not None:
             judge = partial(judge_tile, levels, stages.space, store, views, around, progress=stages.progress)
         stages.keep(name, judge().as_dict())
+        stages.rest()
     record: dict[str, Any] = stages.read(name).value
     if record["warning"]:
         stages.remarks.append(record["warning"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from gsvis.scene.navigable import NavigableSpace
 
 __all__ = ["scene_hash", "sight_hash", "space_hash"]
 
+_known: WeakKeyDictionary[Gaussians, str] = WeakKeyDictionary()
 _ARRAYS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 
@@ -20,9 +22,18 @@ def scene_hash(g: Gaussians) -> str:
     Equal arrays give equal hashes, independently of the file format. A permutation, a changed bit or a different SH
     degree changes the hash.
 
+    The hash of an object is found once.
+
     Args:
         g: The scene.
     """
+    if g not in _known:
+        _known[g] = _digest_of(g)
+    return _known[g]
+
+
+def _digest_of(g: Gaussians) -> str:
+    """Return the hash of a scene."""
     digest = hashlib.sha256(b"gsvis scene 1\n%d\n" % len(g))
     for name in _ARRAYS:
         array = np.ascontiguousarray(getattr(g, name), dtype="<f4")

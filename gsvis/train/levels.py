@@ -292,10 +292,8 @@ def train_levels(
             continue
         if config.merged == 0.0 and frozen:
             begin = _clone_one(scene[stays])
-        else:
-            begin = merge_pairs(scene[~stays], begun - frozen)
-            if choose_by is not None:  # photographs differ from the scene by more than a merge does
-                begin = fit_opacities(begin, scene[stays], views)
+        else:  # photographs differ from the scene by more than a merge does
+            begin = _merge_rest(scene, stays, begun - frozen, None if choose_by is None else views)
         training = config.training(total, scene.sh_degree)
         if begun == total:  # no room for clones
             training = replace(training, densify=None)
@@ -311,6 +309,12 @@ def train_levels(
     last = np.concatenate([np.full(len(scene), top, np.uint8), own])
     union = Gaussians.concatenate([scene, *owns])
     return TrainedLevels(Levels(union, np.concatenate([first, own]), last, config.level_names), histories)
+
+
+def _merge_rest(scene: Gaussians, stays: Mask, count: int, views: PosedImages | None) -> Gaussians:
+    """Return the Gaussians that do not stay, merged into `count`; with views their opacities are fitted to these."""
+    merged = merge_pairs(scene[~stays], count)
+    return merged if views is None else fit_opacities(merged, scene[stays], views)
 
 
 def _clone_one(stays: Gaussians) -> Gaussians:
