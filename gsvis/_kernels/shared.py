@@ -28,12 +28,13 @@ def share(typing_context: Any, function: Any, units: Any, arguments: Any) -> Any
     """Call function(unit, *arguments) for each unit in [0, units) on numba's threads.
 
     The function is compiled with `inner` and must not raise. Use it in a kernel under `on_numba_threads`. Unlike a
-    `prange` loop, it types the function once and starts no thread for a single unit.
+    `prange` loop, it types the function once, and runs a single unit, or all units for one thread, where it is called:
+    not every threading layer of numba may be entered by several threads at once.
     """
     call = function.get_call_type(typing_context, (types.int64, *arguments), {})
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        """Build the parallel call, and a direct call for a single unit."""
+        """Build the parallel call, and a direct call for a single unit or thread."""
         given = ir.LiteralStructType([_I64, _I64, args[2].type])  # next unit, number of units, arguments
         part = _build_part(context, builder.module, given, signature.args[0].dispatcher.get_compile_result(call), call)
         count = context.cast(builder, args[1], signature.args[1], types.int64)
@@ -42,11 +43,12 @@ def share(typing_context: Any, function: Any, units: Any, arguments: Any) -> Any
             builder.store(value, cgutils.gep_inbounds(builder, place, 0, k))
         data = builder.bitcast(place, _BYTES)
         none = _BYTES(None)
-        with builder.if_else(builder.icmp_signed(">", count, _I64(1))) as (several, one):
+        ask = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_I64, []), "get_num_threads")
+        threads = builder.call(ask, [])
+        in_parallel = builder.and_(builder.icmp_signed(">", count, _I64(1)), builder.icmp_signed(">", threads, _I64(1)))
+        with builder.if_else(in_parallel) as (several, one):
             with several:
-                ask = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_I64, []), "get_num_threads")
                 run = cgutils.get_or_insert_function(builder.module, _RUN, "numba_parallel_for")
-                threads = builder.call(ask, [])
                 size = builder.bitcast(cgutils.alloca_once_value(builder, threads), _BYTES)
                 builder.call(run, [builder.bitcast(part, _BYTES), none, size, none, data, _I64(0), _I64(0), threads])
             with one:

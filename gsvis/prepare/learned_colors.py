@@ -18,6 +18,7 @@ from gsvis.color.blend import blend_colors
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.sh import seen_sh_colors
 from gsvis.color.srbf import SrbfColors
+from gsvis.jobs.in_order import in_order
 from gsvis.progress import Progress, silent
 from gsvis.render.fixed_view import FixedView
 from gsvis.render.metrics import psnr
@@ -276,8 +277,9 @@ class ColorMeasure:
         cameras = views if isinstance(views, Cameras) else views.cameras
         evaluators = [None if colors is None else Evaluator(colors) for colors in tried]
         found = np.empty((len(tried), len(views)))
-        progress("measure", 0, len(views))
-        for c in range(len(views)):
+
+        def measure(c: int) -> None:
+            """Measure all colors in one view."""
             seen = FixedView(self._drawn, cameras[c])
             ids = self._ids[seen.ids]
             own = seen_sh_colors(self._scene, ids, seen.eye)
@@ -285,5 +287,8 @@ class ColorMeasure:
             for k, evaluator in enumerate(evaluators):
                 shades = own if evaluator is None else evaluator.colors(self._scene.means, seen.eye, ids=ids)
                 found[k, c] = min(float(psnr(np.clip(seen.image(shades), 0.0, 1.0), wanted)), MOST_PSNR)
+
+        progress("measure", 0, len(views))
+        for c, _ in enumerate(in_order(measure, range(len(views)))):
             progress("measure", c + 1, len(views))
         return tuple(found)

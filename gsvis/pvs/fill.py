@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from gsvis.jobs.in_order import in_order
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.render import Fill, fill_around
@@ -52,18 +54,27 @@ def sample_fill_of_cells(
         progress: Called with stage "fill", in cells.
     """
     top = levels.member(len(levels) - 1)
-    shown = np.zeros(len(levels.union), np.bool_)
-    own = store.gaussians
+
+    def seen() -> Iterator[tuple[int, NDArray[np.bool_]]]:
+        """Yield each cell with a mask of what it sees at the top level."""
+        for cell in range(len(store)):
+            shown = np.zeros(len(levels.union), np.bool_)
+            shown[store.visible_ids(cell)] = True
+            if beyond is not None:
+                shown[store.gaussians + beyond.visible_ids(cell)] = True
+            shown &= top
+            yield cell, shown
+
+    def sample(looked: tuple[int, NDArray[np.bool_]]) -> tuple[float, float, float]:
+        """Return the row of a cell."""
+        cell, shown = looked
+        found = sample_fill_around(levels.union.showing(shown), store.grid.centers[cell][None])
+        return found.splats[0], found.mean[0], found.worst[0]
+
     rows = np.zeros((len(store), 3))
     progress("fill", 0, len(store))
-    for cell in range(len(store)):
-        shown[:] = False
-        shown[store.visible_ids(cell)] = True
-        if beyond is not None:
-            shown[own + beyond.visible_ids(cell)] = True
-        shown &= top
-        found = sample_fill_around(levels.union.showing(shown), store.grid.centers[cell][None])
-        rows[cell] = found.splats[0], found.mean[0], found.worst[0]
+    for cell, row in enumerate(in_order(sample, seen())):
+        rows[cell] = row
         progress("fill", cell + 1, len(store))
     return SampledFill(*rows.T)
 

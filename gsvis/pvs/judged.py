@@ -5,13 +5,14 @@ An image from the set of the cell that a client would use is compared with the i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.jobs.in_order import in_order
 from gsvis.progress import Progress, silent
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.store import VisibilityStore
@@ -73,23 +74,31 @@ def judge_images(
     total = len(mine) + len(judges)
     progress("judge", 0, total)
     found: list[float] = []
-    for cameras in (mine, judges.cameras):
-        for c in range(len(cameras)):
-            found.append(_psnr_of_cell(g, grid, held, cameras[c]))
-            progress("judge", len(found), total)
+
+    def seen() -> Iterator[tuple[Cameras, NDArray[np.bool_]]]:
+        """Yield each camera with the set of its eye's cell, or of the nearest one."""
+        for cameras in (mine, judges.cameras):
+            for c in range(len(cameras)):
+                yield cameras[c], held(_cell_of(grid, cameras[c].viewpoints[0]))
+
+    def compare(looked: tuple[Cameras, NDArray[np.bool_]]) -> float:
+        """Return the PSNR of the image from a set against the whole scene."""
+        camera, shown = looked
+        return min(_CAP, float(psnr(_draw(g.showing(shown), camera), _draw(g, camera))))
+
+    for value in in_order(compare, seen()):
+        found.append(value)
+        progress("judge", len(found), total)
     eyes = judges.cameras.viewpoints
     values = np.array(found)
     inside = grid.cell_at(eyes) >= 0 if len(eyes) else np.zeros(0, bool)
     return Judged(values[: len(mine)], values[len(mine) :], inside, judges.named, judges.given)
 
 
-def _psnr_of_cell(g: Gaussians, grid: CellGrid, held: Held, camera: Cameras) -> float:
-    """Return the PSNR of the image from the set of an eye's cell, or of the nearest cell, against the whole scene."""
-    eye = camera.viewpoints[0]
+def _cell_of(grid: CellGrid, eye: NDArray[np.float64]) -> int:
+    """Return the cell of an eye (3,), or the nearest one."""
     cell = int(grid.cell_at(eye[None])[0])
-    if cell < 0:
-        cell = int(np.linalg.norm(grid.centers - eye, axis=1).argmin())
-    return min(_CAP, float(psnr(_draw(g.showing(held(cell)), camera), _draw(g, camera))))
+    return cell if cell >= 0 else int(np.linalg.norm(grid.centers - eye, axis=1).argmin())
 
 
 def _draw(g: Gaussians, camera: Cameras) -> F32:

@@ -135,8 +135,10 @@ class Removals:
         bare = [part.without_harmonics() for part in self._parts]
         self._all = bare[0] if len(bare) == 1 else Gaussians.concatenate(bare)
 
-    def add(self, camera: Cameras, presence: F32, shown: NDArray[np.bool_] | None, sums: F64) -> None:
-        """Add the effects of one camera without skew to the sums (K,).
+    def seen_by(
+        self, camera: Cameras, presence: F32, shown: NDArray[np.bool_] | None
+    ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+        """Return those of the K Gaussians that one camera without skew shows, by index (S,), and their effects (S,).
 
         Takes checked arguments: `presence` (N,) in [0, 1] and `shown` (N,) of all Gaussians, as in `removal_effects`.
         """
@@ -148,7 +150,10 @@ class Removals:
         features[:, 3] = presence[projected.ids]
         residual = np.zeros((camera.height, camera.width, 3), np.float32)
         pairs = _remove_each(view, projected, features, np.zeros(3, np.float32), residual)
-        _kernels_removal.add_squares(pairs, projected.first_pair, projected.order, projected.ids, sums)
+        effects = np.empty(len(projected.ids))
+        _kernels_removal.sum_squares(pairs, projected.first_pair, projected.order, effects)
+        own = int(np.searchsorted(projected.ids, len(self._parts[0])))
+        return projected.ids[:own], effects[:own]
 
     def _write_colors(self, ids: NDArray[np.int32], view: View, features: F32) -> None:
         """Write the colors (M, 3) of splats, whose ids ascend, from each part."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis._sorting import stable_order
 from gsvis.scene.drawn_by_content import draw_by_content
 from gsvis.scene.gaussians import Gaussians
 
@@ -83,7 +84,7 @@ def sample_surface(g: Gaussians) -> Sample | None:
 
 def _shuffle(g: Gaussians, index: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return indices in a random order that depends only on the content of the Gaussians."""
-    return index[np.argsort(draw_by_content(g[index]), kind="stable")]
+    return index[stable_order(draw_by_content(g.without_harmonics()[index]))]
 
 
 def _find_core(means: F64, weights: F64) -> tuple[F64, float]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis._sorting import stable_order
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["draw_by_content"]
@@ -33,7 +34,7 @@ def draw_by_content(g: Gaussians, seed: int = 0) -> NDArray[np.float64]:
     mixed = np.full(len(g), _mix(np.array([seed], np.uint64))[0])
     for column in (g.opacities, *g.sh0[:, 0].T):
         mixed = _mix(mixed ^ np.ascontiguousarray(column, np.float32).view(np.uint32))
-    order = np.argsort(mixed, kind="stable")
+    order = stable_order(mixed)
     tied = _tied(mixed[order])
     if tied.any():
         ids = np.sort(order[tied])

@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis._sorting import stable_order
 from gsvis.scene._enclosed import Enclosure
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.drawn_by_content import draw_by_content
@@ -109,8 +110,8 @@ def _sample_detail(g: Gaussians, seed: int) -> tuple[F64, F64]:
     ids = np.flatnonzero(g.opacities >= _MIN_OPACITY)
     if len(ids) == 0:
         return np.zeros((0, 3)), np.zeros(0)
-    drawn = draw_by_content(g[ids], seed)
-    order = np.argsort(drawn, kind="stable")[: 4 * _SAMPLE]
+    drawn = draw_by_content(g.without_harmonics()[ids], seed)
+    order = stable_order(drawn)[: 4 * _SAMPLE]
     ids = ids[order]
     size = np.maximum(g.scales[ids].astype(np.float64).max(axis=1), 1e-300)
     chance = np.minimum(np.median(size) / size, 1.0)

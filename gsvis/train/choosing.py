@@ -205,9 +205,14 @@ class _State:
         there = None if self.stand_ins is None else self.stand_ins.presence(self.kept, chances)
         self.sums *= _OLD
         presence = chances if there is None else np.concatenate([chances, there])
-        for index in batch:
+
+        def look(index: int) -> tuple[NDArray[np.int32], F64]:
+            """Return what one camera shows, and the effects."""
             camera = self.cameras[[index]]
-            self._removals.add(camera, presence, self._shown_by(camera), self.sums)
+            return self._removals.seen_by(camera, presence, self._shown_by(camera))
+
+        for ids, effects in in_order(look, batch.tolist()):
+            self.sums[ids] += effects
 
     def _shown_by(self, camera: Cameras) -> Mask | None:
         """Return the Gaussians to draw that one camera may see; None for all."""

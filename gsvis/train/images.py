@@ -5,14 +5,18 @@ Images are sRGB as displayed, in one frame with the scene; OpenCV cameras of one
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis.jobs.in_order import in_order
 from gsvis.progress import Progress, silent
+from gsvis.render.device import torch_device_of
 from gsvis.render.device_scene import DeviceScene
 from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
@@ -21,7 +25,7 @@ from gsvis.scene.gaussians import Gaussians
 if TYPE_CHECKING:
     from gsvis.render.tensors import GaussianTensors
 
-__all__ = ["PosedImages", "display_image", "render_views"]
+__all__ = ["PosedImages", "display_image", "display_images", "render_views"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,11 +106,24 @@ def render_views(
     """
     scene = DeviceScene(gaussians, backend)
     images = np.empty((len(cameras), cameras.height, cameras.width, 3), np.float32)
-    progress("views", 0, len(cameras))
-    for c in range(len(cameras)):
+
+    def draw(c: int) -> None:
+        """Draw the image of one camera."""
         images[c] = scene.draw(cameras[c], background=background).images[0]
+
+    side_by_side = map if scene.on_device else in_order
+    progress("views", 0, len(cameras))
+    for c, _ in enumerate(side_by_side(draw, range(len(cameras)))):
         progress("views", c + 1, len(cameras))
     return PosedImages(cameras, images)
+
+
+def display_images(
+    gaussians: Gaussians, cameras: Sequence[Cameras], backend: str = "auto"
+) -> Iterator[NDArray[np.float32]]:
+    """Yield `display_image` of each of some single cameras, in order; on the CPU they are drawn side by side."""
+    draw = partial(display_image, gaussians, backend=backend)
+    return in_order(draw, cameras) if torch_device_of(backend) is None else map(draw, cameras)
 
 
 def display_image(

@@ -20,7 +20,7 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.history import MOST_PSNR
-from gsvis.train.images import PosedImages, display_image
+from gsvis.train.images import PosedImages, display_images
 
 __all__ = ["LevelQuality", "judge_levels", "measure_levels"]
 
@@ -70,9 +70,8 @@ def measure_levels(
     progress("measure", 0, count * len(levels))
     images: list[NDArray[np.float32]] = []  # of the highest level, which is measured first
     for place, k in enumerate(reversed(range(len(levels)))):
-        gaussians = levels.drawn_level(k)
-        for c in range(count):
-            drawn = display_image(gaussians, views.cameras[c], backend)
+        cameras = [views.cameras[c] for c in range(count)]
+        for c, drawn in enumerate(display_images(levels.drawn_level(k), cameras, backend)):
             brightness[k] += float(drawn.mean(dtype=np.float64)) / count
             if k == top:
                 images.append(drawn)
@@ -111,14 +110,11 @@ def judge_levels(
     found = np.empty((below, len(cameras)))
     progress("judge", 0, total)
     whole = []
-    top = levels.drawn_level(len(levels) - 1)
-    for camera in cameras:
-        whole.append(display_image(top, camera, backend))
+    for drawn in display_images(levels.drawn_level(len(levels) - 1), cameras, backend):
+        whole.append(drawn)
         progress("judge", len(whole), total)
     for k in range(below):
-        gaussians = levels.drawn_level(k)
-        for number, camera in enumerate(cameras):
-            drawn = display_image(gaussians, camera, backend)
+        for number, drawn in enumerate(display_images(levels.drawn_level(k), cameras, backend)):
             found[k, number] = min(float(psnr(drawn, whole[number])), MOST_PSNR)
             progress("judge", (k + 1) * len(cameras) + number + 1, total)
     inside = None

@@ -193,7 +193,8 @@ def test_effects_of_some_among_others_are_those_among_all() -> None:
     sums = np.ones(first)
     expected = np.ones(first)
     for c in range(len(cameras)):
-        removals.add(cameras[c], presence, shown, sums)
+        ids, effects = removals.seen_by(cameras[c], presence, shown)
+        sums[ids] += effects
         expected += removal_effects(g, cameras[c], presence=presence, shown=shown).squared[:first]
     np.testing.assert_array_equal(sums, expected)
     assert (sums > 1.0).any()

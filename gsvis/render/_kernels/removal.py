@@ -23,7 +23,7 @@ from gsvis._kernels.threads import in_threads
 from gsvis.render._kernels.lanes import LANES, STOP, T, _each_row, _load, _Record, _store
 from gsvis.render._kernels.tiles import BATCH, open_tile, prepare
 
-__all__ = ["add_pairs", "add_squares", "remove_tiles"]
+__all__ = ["add_pairs", "remove_tiles", "sum_squares"]
 
 TILE = LANES
 SPENT = 1e-6
@@ -225,15 +225,13 @@ def add_pairs(pairs, first_pair, order, ids, sums):
 
 
 @kernel
-def add_squares(pairs, first_pair, order, ids, sums):
-    """Add a third of the squared changes of the pairs (P, 4) of each splat to its Gaussian in sums (K,), if it has one.
+def sum_squares(pairs, first_pair, order, out):
+    """Write a third of the sum of the squared changes of the pairs (P, 4) of each splat into out (M,).
 
     Pairs are summed over three channels; a third is their mean.
     """
     for k in range(len(order)):
-        row = ids[order[k]]
-        if row < len(sums):
-            squared = 0.0
-            for pair in range(first_pair[k], first_pair[k + 1]):
-                squared += pairs[pair, 1]
-            sums[row] += squared / 3.0
+        squared = 0.0
+        for pair in range(first_pair[k], first_pair[k + 1]):
+            squared += pairs[pair, 1]
+        out[order[k]] = squared / 3.0
