@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gsvis.pvs._kernels.aim import mark_directions
+from gsvis import _check
+from gsvis.pvs._kernels.aim import mark_centers, mark_directions
 from gsvis.raycast import Tracer
 
 __all__ = ["Aim", "share_of_centers"]
@@ -33,7 +34,7 @@ class Aim:
     share: float
 
     @classmethod
-    def of_box(cls, tracer: Tracer, low: ArrayLike, high: ArrayLike, size: int) -> Aim:
+    def of_box(cls, tracer: Tracer, low: ArrayLike, high: ArrayLike, size: int, *, enough: float = 1.0) -> Aim:
         """Return the directions of eyes in a box or at a point; all if an eye may be inside a Gaussian's box.
 
         Args:
@@ -41,12 +42,13 @@ class Aim:
             low: (3,) lowest corner of the box.
             high: (3,) highest corner.
             size: S, pixels along a side of the faces.
+            enough: Share of the pixels that is enough: once so many are marked, the others stay as they are.
         """
         marked = np.zeros((6, size, size), bool)
         hierarchy = tracer.hierarchy
-        if len(hierarchy.ids) and not mark_directions(
-            hierarchy.boxes, hierarchy.children, np.asarray(low, np.float64), np.asarray(high, np.float64), marked
-        ):
+        corners = np.asarray(low, np.float64), np.asarray(high, np.float64)
+        stop = enough * marked.size
+        if len(hierarchy.ids) and not mark_directions(hierarchy.boxes, hierarchy.children, *corners, stop, marked):
             marked[:] = True
         return cls(marked, float(marked.mean()))
 
@@ -78,21 +80,9 @@ def share_of_centers(centers: ArrayLike, eye: F64, size: int) -> float:
         eye: (3,) the eye.
         size: Pixels along a side of the faces of a cube.
     """
-    ways = np.asarray(centers, np.float64) - eye
-    ways = ways[np.any(ways != 0.0, axis=1)]
-    axes = np.abs(ways).argmax(axis=1)
-    rows = np.arange(len(ways))
-    depths = ways[rows, axes]
-    faces = 2 * axes + (depths < 0.0)
-    columns, lines = (
-        np.minimum(((ways[rows, other[axes]] / np.abs(depths) + 1.0) * 0.5 * size).astype(np.int64), size - 1)
-        for other in (np.array([1, 0, 0]), np.array([2, 2, 1]))
-    )
-    marked = np.zeros((6, size + 2, size + 2), bool)
-    for line in range(3):
-        for column in range(3):
-            marked[faces, lines + line, columns + column] = True
-    return float(marked[:, 1:-1, 1:-1].mean())
+    marked = np.zeros((6, size, size), bool)
+    mark_centers(*_check.read_only(np.ascontiguousarray(centers, np.float32)), np.asarray(eye, np.float64), marked)
+    return float(marked.mean())
 
 
 def _directions(faces: NDArray[np.int64], u: F64, v: F64) -> F64:

@@ -203,7 +203,7 @@ class Finder:
         if self.config.method != "hybrid":
             return 1.0  # there pixels of the void cost time
         prepared = self._prepared[level]
-        share = Aim.of_box(prepared.certifier.tracer, viewpoint, viewpoint, _AIM_SIZE).share
+        share = Aim.of_box(prepared.certifier.tracer, viewpoint, viewpoint, _AIM_SIZE, enough=_FILLED).share
         if len(prepared.core):
             share = min(share, share_of_centers(prepared.core, viewpoint, _AIM_SIZE))
         return 1.0 if share == 0.0 else float(np.clip(np.sqrt(_FILLED / share), 1.0, _FINEST))

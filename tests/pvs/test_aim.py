@@ -52,6 +52,15 @@ def test_what_is_marked_is_what_the_plain_twin_marks(scene: int, eyes: int, size
         assert aim.share == aim.marked.mean()
 
 
+@given(st.integers(0, 200), st.integers(0, 10_000), st.sampled_from([0.05, 0.25, 0.6]))
+def test_marking_ends_with_enough_pixels_and_not_before(scene: int, eyes: int, enough: float) -> None:
+    tracer, (low, high) = scattered(scene), box_of(eyes)
+    whole = Aim.of_box(tracer, low, high, 16)
+    some = Aim.of_box(tracer, low, high, 16, enough=enough)
+    assert (some.marked <= whole.marked).all()
+    assert some.share == whole.share if whole.share < enough else some.share >= enough
+
+
 def pixel_of(directions: F64, size: int) -> tuple[NDArray[np.int64], ...]:
     """Face, row and column of unit vectors (R, 3)."""
     axis = np.abs(directions).argmax(axis=1)

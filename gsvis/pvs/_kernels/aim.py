@@ -51,8 +51,41 @@ def _is_marked(marked, face, place):
     return True
 
 
+@inner
+def _mark(marked, face, place):
+    """Mark the pixels of a rectangle; return how many were not marked before."""
+    count = 0
+    for y in range(place[2], place[3] + 1):
+        for x in range(place[0], place[1] + 1):
+            count += not marked[face, y, x]
+            marked[face, y, x] = True
+    return count
+
+
 @kernel(error_model="numpy")
-def mark_directions(boxes, children, low, high, marked):
+def mark_centers(centers, eye, marked):
+    """Mark the pixels (6, S, S) in whose directions centers (P, 3) lie from an eye (3,), and the pixels around each."""
+    size = marked.shape[1]
+    way = np.empty(3)
+    for i in range(len(centers)):
+        w = 0
+        for axis in range(3):
+            way[axis] = np.float64(centers[i, axis]) - eye[axis]
+            if abs(way[axis]) > abs(way[w]):
+                w = axis
+        depth = abs(way[w])
+        if depth == 0.0:
+            continue
+        face = 2 * w + (way[w] < 0.0)
+        column = min(int((way[1 if w == 0 else 0] / depth + 1.0) * 0.5 * size), size - 1)
+        line = min(int((way[1 if w == 2 else 2] / depth + 1.0) * 0.5 * size), size - 1)
+        for y in range(max(line - 1, 0), min(line + 2, size)):
+            for x in range(max(column - 1, 0), min(column + 2, size)):
+                marked[face, y, x] = True
+
+
+@kernel(error_model="numpy")
+def mark_directions(boxes, children, low, high, enough, marked):
     """Mark the pixels in whose directions an eye between the corners low (3,) and high (3,) may meet a Gaussian.
 
     Args:
@@ -60,6 +93,7 @@ def mark_directions(boxes, children, low, high, marked):
         children: (K, 8) int64, of the hierarchy.
         low: Lowest corner of the eyes.
         high: Highest corner.
+        enough: Number of marked pixels from which no more are marked.
         marked: (6, S, S) bool, False; faces as in `hpr`.
 
     Returns:
@@ -71,7 +105,8 @@ def mark_directions(boxes, children, low, high, marked):
     place = np.empty(4, np.int64)
     stack[0] = 0
     waiting = 1
-    while waiting > 0:
+    count = 0
+    while waiting > 0 and count < enough:
         waiting -= 1
         node = stack[waiting]
         for k in range(_WIDTH):
@@ -95,7 +130,7 @@ def mark_directions(boxes, children, low, high, marked):
                     continue
                 fresh = True
                 if child < 0:
-                    marked[face, place[2] : place[3] + 1, place[0] : place[1] + 1] = True
+                    count += _mark(marked, face, place)
             if fresh and child >= 0:
                 stack[waiting] = child
                 waiting += 1
