@@ -84,7 +84,8 @@ def share_out(splats: Splats, eye: F64, threads: tuple[int, ...]) -> dict[int, f
     nearest, boxes = np.empty(count, np.float32), np.empty((6, count, 4), np.int16)
     clusters.place_clusters(splats.bounds, at, SIZE, nearest, boxes)
     lists, counts = np.empty((6, count), np.int64), np.empty(6, np.int64)
-    clusters.list_clusters(np.argsort(nearest, kind="stable"), boxes, lists, counts)
+    listed = np.empty_like(boxes)
+    clusters.list_clusters(np.argsort(nearest, kind="stable"), boxes, lists, listed, counts)
     light, depths = np.empty(shape, np.float32), np.empty(shape, np.float32)
     scene, best = (splats.near, splats.covars, splats.columns, splats.ids), np.zeros(2 * splats.total, np.float32)
     wanted = every_square()
@@ -101,7 +102,7 @@ def share_out(splats: Splats, eye: F64, threads: tuple[int, ...]) -> dict[int, f
             SIZE,
             np.float32(SPENT),
             nearest,
-            boxes,
+            listed,
             lists,
             counts,
             wanted,
@@ -145,14 +146,15 @@ def measure_parts(splats: Splats, eyes: F64) -> dict[str, float]:
         at = eye.astype(np.float32)
         nearest, boxes = np.empty(count, np.float32), np.empty((6, count, 4), np.int16)
         lists, counts = np.empty((6, count), np.int64), np.empty(6, np.int64)
+        listed = np.empty_like(boxes)
         part("place clusters", lambda: clusters.place_clusters(splats.bounds, at, SIZE, nearest, boxes))  # noqa: B023
         order = part("sort clusters", lambda: np.argsort(nearest, kind="stable"))  # noqa: B023
-        part("list clusters", lambda: clusters.list_clusters(order, boxes, lists, counts))  # noqa: B023
+        part("list clusters", lambda: clusters.list_clusters(order, boxes, lists, listed, counts))  # noqa: B023
         scene = splats.near, splats.covars, splats.columns, splats.ids
         best = part("room", lambda: np.zeros(2 * splats.total, np.float32))
         light, depths = np.empty(shape, np.float32), np.empty(shape, np.float32)
         eye_and_spent = at, SIZE, np.float32(SPENT)
-        lists_of = nearest, boxes, lists, counts, every_square()
+        lists_of = nearest, listed, lists, counts, every_square()
         everyone = np.zeros(count, np.uint64), np.float32(0.0)
         buffers = best, light, depths
         part("splat", lambda: kernels.splat_squares(scene, everyone, *eye_and_spent, *lists_of, *buffers))  # noqa: B023

@@ -172,7 +172,8 @@ class Search:
 
     Attributes:
         squares: (6, T, T) squares of pixels to look at, from `squares_around` of the same size; None looks at all.
-        known: (N,) mask of Gaussians whose weights do not matter; None for none.
+        known: (N,) mask of Gaussians whose weights do not matter; None for none. With `least` above 0 they are not
+            among what is seen.
         least: Weight below which no other Gaussian matters either. Specks that do not matter are thinned: one of up to
             16 neighbors, each much smaller than a pixel, takes the light of all. 0 thins nothing.
     """
@@ -250,7 +251,8 @@ def look_around(
     clusters.place_clusters(splats.bounds, at, size, nearest, rectangles)
     lists = np.empty((6, len(nearest)), np.int64)
     counts = np.empty(6, np.int64)
-    clusters.list_clusters(np.argsort(nearest, kind="stable"), rectangles, lists, counts)
+    listed = np.empty_like(rectangles)
+    clusters.list_clusters(np.argsort(nearest, kind="stable"), rectangles, lists, listed, counts)
     side = size if buffer else 0
     light = np.empty((6, side, side), np.float32)
     depths = np.empty((6, side, side), np.float32)
@@ -262,7 +264,7 @@ def look_around(
         size,
         np.float32(spent),
         nearest,
-        rectangles,
+        listed,
         lists,
         counts,
         squares,

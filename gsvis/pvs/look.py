@@ -43,7 +43,8 @@ class LookOptions:
         hull: Whether the hybrid asks the hull where it is in doubt; without it, it decides by the z-buffer alone.
         squares: Squares of pixels in which the hybrid looks, from `Look.squares` of the same size, without a hull.
             Other methods look everywhere. None is everywhere.
-        known: (N,) mask of Gaussians that need not be found, which saves the hybrid time; None for none.
+        known: (N,) mask of Gaussians that need not be found, which saves the hybrid time: it leaves them out; None for
+            none.
     """
 
     size: int

@@ -53,7 +53,8 @@ def test_a_cluster_bounds_its_members(seed: int, size: int) -> None:
     nearest, boxes = np.empty(count, np.float32), np.empty((6, count, 4), np.int16)
     place_clusters(splats.bounds, eye, size, nearest, boxes)
     lists, counts = np.empty((6, count), np.int64), np.empty(6, np.int64)
-    list_clusters(np.argsort(nearest, kind="stable"), boxes, lists, counts)
+    placed = np.empty_like(boxes)
+    list_clusters(np.argsort(nearest, kind="stable"), boxes, lists, placed, counts)
     cluster = np.arange(len(splats.near)) // CLUSTER
     x, y, z = (splats.near[:, :3] - eye).T
     assert (x * x + y * y + z * z >= nearest[cluster]).all()
@@ -66,6 +67,7 @@ def test_a_cluster_bounds_its_members(seed: int, size: int) -> None:
         listed = lists[face, : counts[face]]
         assert np.isin(cluster[reaches], listed).all()
         assert (np.diff(nearest[listed]) >= 0).all()
+        assert (placed[face, : counts[face]] == boxes[face][listed]).all()
 
 
 def test_clusters_of_other_directions_are_left_out() -> None:
@@ -77,6 +79,6 @@ def test_clusters_of_other_directions_are_left_out() -> None:
     nearest, boxes = np.empty(1, np.float32), np.empty((6, 1, 4), np.int16)
     place_clusters(splats.bounds, np.zeros(3, np.float32), 320, nearest, boxes)
     lists, counts = np.empty((6, 1), np.int64), np.empty(6, np.int64)
-    list_clusters(np.zeros(1, np.int64), boxes, lists, counts)
+    list_clusters(np.zeros(1, np.int64), boxes, lists, np.empty_like(boxes), counts)
     assert counts.tolist() == [1, 0, 0, 0, 0, 0]
     assert (boxes[0, 0, 1] - boxes[0, 0, 0]) < 60

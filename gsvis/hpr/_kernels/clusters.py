@@ -114,14 +114,18 @@ def place_clusters(begin, end, bounds, eye, size, nearest, rectangles):
 
 
 @kernel
-def list_clusters(order, rectangles, lists, counts):
-    """Write the clusters that reach each face, in the given order, into lists (6, B); counts[face] of them."""
+def list_clusters(order, rectangles, lists, listed, counts):
+    """Write the clusters that reach each face, in the given order, into lists (6, B); counts[face] of them.
+
+    `listed` (6, B, 4) receives their rectangles.
+    """
     for face in range(6):
         count = 0
         for k in range(len(order)):
             c = order[k]
             if rectangles[face, c, 0] <= rectangles[face, c, 1] and rectangles[face, c, 2] <= rectangles[face, c, 3]:
                 lists[face, count] = c
+                listed[face, count] = rectangles[face, c]
                 count += 1
         counts[face] = count
 

@@ -23,25 +23,21 @@ from gsvis._kernels.compiled import inner, kernel, njit, uncounted
 from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.shared import raise_to, take_next
 from gsvis._kernels.threads import in_threads
+from gsvis.hpr._kernels import project as table
 from gsvis.hpr._kernels.block import LANES, STRIDE, blend_block, take_largest
-from gsvis.hpr._kernels.reach import CLUSTER, find_reaching
-from gsvis.hpr._kernels.sphere import CLAMP, DILATION
+from gsvis.hpr._kernels.keys import BELOW, PLACES, STANDS, row_of, sort_keys
+from gsvis.hpr._kernels.reach import CLUSTER, PLACED, find_reaching
 
 SQUARE = 64
 _ROUND = 256  # Gaussians collected for a square before the nearest are splatted
-_AHEAD = 8  # Gaussians between the one that is splatted and the one whose row is loaded
-_SOON = 4  # the same for the place of its result
-_RUN = 12  # length of runs of keys that are sorted by insertion
-_LOG2_E = 1.4426950408889634
+_SOON = 4  # Gaussians between the one that is splatted and the one whose place of its result is loaded
+_LAST_COLUMN, _FIRST_ROW, _LAST_ROW, _DISTANCE, _COVER = (np.uint64(k * LANES) for k in range(1, PLACED))
 _ONE = np.float32(1.0)
 _HALF = np.float32(0.5)
 _NONE = np.uint64(0)
 _ALL = np.uint64(2**64 - 1)
-_ROW = np.uint64(2**29 - 1)  # bits of a key that hold the row; above them the power of two for which it stands
-_STANDS = np.uint64(29)
 _MOST_STANDS = 4
 _SPECKS = np.float32(0.25)  # most of a pixel's light that a speck may take for others
-_UPPER = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # entries of a covariance among the six that are kept
 
 
 @inner
@@ -54,7 +50,7 @@ def _column_mask(first, last):
 def _any_lit(lit, x0, x1, y0, y1):
     """Return whether a pixel of a rectangle has light left."""
     found = _NONE
-    for y in range(y0, y1 + 1):
+    for y in range(np.uint64(y0), np.uint64(y1 + 1)):  # unsigned: no index counts from the end
         found |= lit[y]
     return found & _column_mask(x0, x1) != _NONE
 
@@ -67,46 +63,6 @@ def _pixels(center, radius, count):
     first = math.ceil(min(max(low, -1.0), 1e4))
     last = math.floor(min(max(high, -1.0), 1e4))
     return max(first, 0), min(last, count - 1)
-
-
-@uncounted
-def _merge(keys, out, width, count):
-    """Merge neighboring sorted runs of `width` keys, two and two."""
-    for left in range(0, count, 2 * width):
-        middle = min(left + width, count)
-        right = min(left + 2 * width, count)
-        i = left
-        j = middle
-        for k in range(left, right):
-            if j >= right or (i < middle and keys[i] <= keys[j]):
-                out[k] = keys[i]
-                i += 1
-            else:
-                out[k] = keys[j]
-                j += 1
-
-
-@uncounted
-def _sort(keys, room, count):
-    """Sort the first `count` keys ascending; return whether `room` holds them, not `keys`."""
-    for start in range(0, count, _RUN):
-        for i in range(start + 1, min(start + _RUN, count)):
-            key = keys[i]
-            k = i
-            while k > start and keys[k - 1] > key:
-                keys[k] = keys[k - 1]
-                k -= 1
-            keys[k] = key
-    width = _RUN
-    moved = False
-    while width < count:
-        if moved:
-            _merge(room, keys, width, count)
-        else:
-            _merge(keys, room, width, count)
-        moved = not moved
-        width *= 2
-    return moved
 
 
 @inner
@@ -139,9 +95,9 @@ def _frame_box(lit, extent, corner):
 
 
 @inner
-def _row_of(key):
-    """Return the row of a key."""
-    return np.int64(key & _ROW)
+def _is_known(known, row):
+    """Return whether a row is known."""
+    return (known[np.uint64(row) >> np.uint64(6)] >> (np.uint64(row) & np.uint64(63))) & np.uint64(1) != _NONE
 
 
 @inner
@@ -154,7 +110,7 @@ def _stands_for(cover):
 
 
 @uncounted
-def _meet(columns, sought, eye, face, corner, extent, half, c, lit, box, keys, held):
+def _meet(columns, sought, eye, face, corner, extent, half, c, lit, box, placed, keys, held):
     """Add the members of cluster c that may reach a lit pixel of the square to the keys; return their number.
 
     A key holds the bits of the squared distance, the power of two of specks for which the member stands, and the row.
@@ -165,102 +121,59 @@ def _meet(columns, sought, eye, face, corner, extent, half, c, lit, box, keys, h
     au = 1 if axis == 0 else 0
     av = 1 if axis == 2 else 2
     sign = np.float32(1.0 - 2.0 * (face & 1))
-    clamp = np.float32(CLAMP)
     axes = (axis, au, av)
     toward = (sign, eye[axis], eye[au], eye[av])
+    point = (eye[0], eye[1], eye[2])
+    frame = (corner[0], corner[1], np.float32(extent[0] - 1), np.float32(extent[1] - 1))
     for first in range(0, CLUSTER, LANES):
-        reaching = find_reaching(columns, c * 5 * CLUSTER + first, axes, toward, half, box)
+        reaching = find_reaching(columns, c * 5 * CLUSTER + first, axes, toward, point, half, box, frame, placed)
         while reaching != _NONE:
-            k = first + np.int64(lowest(reaching))
+            lane = lowest(reaching)
+            k = first + np.int64(lane)
             reaching &= reaching - np.uint64(1)
-            inverse = _ONE / (sign * (columns[c, axis, k] - eye[axis]))
-            tu = (columns[c, au, k] - eye[au]) * inverse
-            tv = (columns[c, av, k] - eye[av]) * inverse
-            cu = min(max(tu, -clamp), clamp)
-            cv = min(max(tv, -clamp), clamp)
-            wide = columns[c, 3, k] * half * inverse
-            sigmas = columns[c, 4, k]
-            skew = _ONE + cu * cu + cv * cv
             stands = 0
             if least > np.float32(0.0):
-                area = wide * wide / (sigmas * sigmas) * skew
-                cover = area / (area + np.float32(DILATION))
-                if (known[c] >> np.uint64(k)) & np.uint64(1) != _NONE or cover < least * least:
+                cover = placed[lane + _COVER]
+                if _is_known(known, c * CLUSTER + k) or cover < least * least:
                     stands = _stands_for(cover)
                     if k & ((1 << stands) - 1) != 0:
                         continue
-            radius = math.sqrt(wide * wide * skew + sigmas * sigmas * np.float32(DILATION))
-            x0, x1 = _pixels(half * tu + half - corner[0], radius, extent[0])
-            y0, y1 = _pixels(half * tv + half - corner[1], radius, extent[1])
+            x0 = np.int64(placed[lane])
+            x1 = np.int64(placed[lane + _LAST_COLUMN])
+            y0 = np.int64(placed[lane + _FIRST_ROW])
+            y1 = np.int64(placed[lane + _LAST_ROW])
             if x0 > x1 or y0 > y1 or not _any_lit(lit, x0, x1, y0, y1):
                 continue
-            dx = columns[c, 0, k] - eye[0]
-            dy = columns[c, 1, k] - eye[1]
-            dz = columns[c, 2, k] - eye[2]
-            row = np.uint64(c * CLUSTER + k) | (np.uint64(stands) << _STANDS)
-            keys[held] = (bits_of(dx * dx + dy * dy + dz * dz) << np.uint64(32)) | row
+            row = np.uint64(c * CLUSTER + k) | (np.uint64(stands) << STANDS)
+            keys[held] = (bits_of(placed[lane + _DISTANCE]) << BELOW) | row
             held += 1
     return held
 
 
 @uncounted
-def _splat(near, covars, ids, eye, face, corner, extent, half, spent, key, square, lit, most, best):
-    """Splat the Gaussian of a key onto a square; return the number of pixels whose light it ends."""
-    i = _row_of(key)
-    axis = face >> 1
-    au = 1 if axis == 0 else 0
-    av = 1 if axis == 2 else 2
-    sign = np.float32(1.0 - 2.0 * (face & 1))
-    clamp = np.float32(CLAMP)
-    du = near[i, au] - eye[au]
-    dv = near[i, av] - eye[av]
-    z = sign * (near[i, axis] - eye[axis])
-    inverse = _ONE / z
-    tu = du * inverse
-    tv = dv * inverse
-    cu = min(max(tu, -clamp), clamp)
-    cv = min(max(tv, -clamp), clamp)
-    scale = half * inverse
-    px = half * tu + half - corner[0]
-    py = half * tv + half - corner[1]
-    # entries of the Jacobian, world axes
-    ju = scale
-    jv = -scale * cu * sign
-    jw = -scale * cv * sign
-    uu = covars[i, _UPPER[au, au]]
-    vv = covars[i, _UPPER[av, av]]
-    ww = covars[i, _UPPER[axis, axis]]
-    uv = covars[i, _UPPER[au, av]]
-    uw = covars[i, _UPPER[au, axis]]
-    vw = covars[i, _UPPER[av, axis]]
-    sharp_x = max(np.float64(ju * ju * uu + np.float32(2.0) * ju * jv * uw + jv * jv * ww), 0.0)
-    sharp_y = max(np.float64(ju * ju * vv + np.float32(2.0) * ju * jw * vw + jw * jw * ww), 0.0)
-    sxy = np.float64(ju * ju * uv + ju * jw * uw + jv * ju * vw + jv * jw * ww)
-    sxx = sharp_x + DILATION
-    syy = sharp_y + DILATION
-    level = np.float64(near[i, 4]) * near[i, 4]
-    # A thin splat far off the axis: rounding must not make its determinant 0.
-    det = max(sxx * syy - sxy * sxy, DILATION * DILATION)
-    cover = math.sqrt(min(max(sharp_x * sharp_y - sxy * sxy, 0.0) / det, 1.0))
-    a = syy / det
-    b = -sxy / det
-    c = sxx / det
-    x0, x1 = _pixels(px, math.sqrt(level * sxx), extent[0])
-    y0, y1 = _pixels(py, math.sqrt(level * syy), extent[1])
+def _splat(given, forms, k, top, place, spent, square, lit, most, best):
+    """Splat the Gaussian in column k of `project` onto a square; return the number of pixels whose light it ends.
+
+    `top` is the log2 of its opacity. `place` is where its result goes in `best`; negative for nowhere.
+    """
+    x0 = np.int64(given[k + table.X0])
+    x1 = np.int64(given[k + table.X1])
+    y0 = np.int64(given[k + table.Y0])
+    y1 = np.int64(given[k + table.Y1])
     if x0 > x1 or y0 > y1:
         return 0
-    stands = np.float32(1 << ((np.int64(key) >> np.int64(_STANDS)) & 7))
-    taken = min(stands * np.float32(cover), _ONE)
-    qa = -0.5 * _LOG2_E * a
-    qb = -_LOG2_E * b
-    qc = -0.5 * _LOG2_E * c
-    top = np.float64(near[i, 6])
+    px = np.float64(given[k + table.PX])
+    py = np.float64(given[k + table.PY])
+    qa = forms[k]
+    qb = forms[k + table.B]
+    qc = forms[k + table.C]
+    taken = given[k + table.TAKEN]
+    far = given[k + table.FAR]
     darkened = 0
-    far = np.float32(math.sqrt(du * du + dv * dv + z * z))
     for y in range(y0, y1 + 1, LANES):
-        dy = y + 0.5 - np.float64(py)
+        dy = y + 0.5 - py
         for x in range(x0, x1 + 1, LANES):
-            dx = x + 0.5 - np.float64(px)
+            dx = x + 0.5 - px
             form = (
                 np.float32((qa * dx + qb * dy) * dx + qc * dy * dy + top),
                 np.float32(2.0 * qa * dx + qb * dy),
@@ -270,10 +183,9 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, key, squar
                 np.float32(qc),
             )
             darkened += blend_block(square, lit, form, spent, taken, far, x, y, min(y1 + 1 - y, LANES), most)
-    weight = take_largest(most, 0) * np.float32(math.sqrt(cover))
+    weight = take_largest(most, 0) * given[k + table.ROOT]
     clear = take_largest(most, 1)
-    if clear >= spent:
-        place = 2 * ids[i]
+    if place >= 0 and clear >= spent:
         if weight > best[place]:
             raise_to(best, place, weight)
         if clear > best[place + 1]:
@@ -293,12 +205,12 @@ def _open(square, lit, extent):
 
 
 @uncounted
-def _is_reached(rectangles, order, corner, extent):
-    """Return whether the rectangle of a cluster meets a square."""
+def _is_reached(rectangles, count, corner, extent):
+    """Return whether one of the first `count` rectangles of clusters meets a square."""
     column = np.int64(corner[0])
     line = np.int64(corner[1])
-    for c in order:
-        place = rectangles[c]
+    for k in range(count):
+        place = rectangles[k]
         if place[0] < column + extent[0] and place[1] >= column and place[2] < line + extent[1] and place[3] >= line:
             return True
     return False
@@ -314,7 +226,14 @@ def _load_row(near, covars, ids, i):
 
 
 @uncounted
-def _collect(columns, sought, eye, face, corner, extent, half, nearest, rectangles, order, lit, keys, at, held):
+def _load_cluster(columns, c):
+    """Start to load the members of cluster c."""
+    for line in range(0, 5 * CLUSTER, 16):
+        prefetch(columns, c * 5 * CLUSTER + line)
+
+
+@uncounted
+def _collect(columns, sought, eye, face, corner, extent, half, nearest, rectangles, order, lit, placed, keys, at, held):
     """Add members of the next clusters to the keys, until there are enough for a round or no room is left.
 
     Args:
@@ -326,9 +245,10 @@ def _collect(columns, sought, eye, face, corner, extent, half, nearest, rectangl
         extent: Columns and rows of the square.
         half: Half the side of the face.
         nearest: (B,) float32.
-        rectangles: (B, 4) int16, on this face.
+        rectangles: (B, 4) int16, where the clusters in `order` lie on this face.
         order: Clusters of the face, nearest first.
         lit: Rows of the square that have light.
+        placed: Room for `find_reaching`.
         keys: (K,) uint64, extended in place.
         at: The next place in `order`.
         held: Number of keys.
@@ -340,21 +260,30 @@ def _collect(columns, sought, eye, face, corner, extent, half, nearest, rectangl
     line = np.int64(corner[1])
     first = held
     box = _frame_box(lit, extent, corner)
+    loading = np.int64(-1)  # a cluster that is being loaded; the one before it is met meanwhile
+    horizon = _ALL
     while at < len(order):
-        c = order[at]
-        x0 = max(rectangles[c, 0] - column, 0)
-        x1 = min(rectangles[c, 1] - column, extent[0] - 1)
-        y0 = max(rectangles[c, 2] - line, 0)
-        y1 = min(rectangles[c, 3] - line, extent[1] - 1)
+        place = np.uint64(at)
+        x0 = max(rectangles[place, 0] - column, 0)
+        x1 = min(rectangles[place, 1] - column, extent[0] - 1)
+        y0 = max(rectangles[place, 2] - line, 0)
+        y1 = min(rectangles[place, 3] - line, extent[1] - 1)
         if x0 > x1 or y0 > y1:
             at += 1
             continue
-        if held - first >= _ROUND or held + CLUSTER > len(keys):
-            return at, held, bits_of(nearest[c]) << np.uint64(32)
+        c = order[place]
+        if held - first >= _ROUND or held + 2 * CLUSTER > len(keys):
+            horizon = bits_of(nearest[c]) << BELOW
+            break
         at += 1
         if _any_lit(lit, x0, x1, y0, y1):
-            held = _meet(columns, sought, eye, face, corner, extent, half, c, lit, box, keys, held)
-    return at, held, _ALL
+            _load_cluster(columns, c)
+            if loading >= 0:
+                held = _meet(columns, sought, eye, face, corner, extent, half, loading, lit, box, placed, keys, held)
+            loading = c
+    if loading >= 0:
+        held = _meet(columns, sought, eye, face, corner, extent, half, loading, lit, box, placed, keys, held)
+    return at, held, horizon
 
 
 @uncounted
@@ -373,51 +302,68 @@ def _divide(keys, held, horizon, ready):
 
 
 @uncounted
-def _splat_all(near, covars, ids, eye, face, corner, extent, half, spent, keys, count, square, lit, most, best, left):
-    """Splat the Gaussians of the first `count` keys in order; return the number of pixels that have light left."""
-    for k in range(min(count, _AHEAD)):
-        _load_row(near, covars, ids, _row_of(keys[k]))
-    for k in range(count):
-        if k + _AHEAD < count:
-            _load_row(near, covars, ids, _row_of(keys[k + _AHEAD]))
-        if k + _SOON < count:
-            prefetch(best, 2 * ids[_row_of(keys[k + _SOON])])
-        left -= _splat(near, covars, ids, eye, face, corner, extent, half, spent, keys[k], square, lit, most, best)
-        if left == 0:
-            break
+def _splat_all(scene, sought, eye, face, corner, extent, half, spent, keys, count, square, lit, brush, best, left):
+    """Splat the Gaussians of the first `count` keys in order; return the number of pixels that have light left.
+
+    `brush` is (most, given, forms), room for `blend_block` and `project`.
+    """
+    near, covars, _, ids = scene
+    known, least = sought
+    most, given, forms = brush
+    sign = np.float32(1.0 - 2.0 * (face & 1))
+    for k in range(min(count, table.COLUMNS)):
+        _load_row(near, covars, ids, row_of(keys[k]))
+    for first in range(0, count, table.COLUMNS):
+        some = min(count - first, table.COLUMNS)
+        for k in range(first + table.COLUMNS, min(first + 2 * table.COLUMNS, count)):
+            _load_row(near, covars, ids, row_of(keys[k]))
+        table.gather(near, covars, eye, face, keys, first, some, given)
+        table.project(sign, corner, extent, half, given, forms)
+        for k in range(some):
+            row = row_of(keys[first + k])
+            place = np.int64(-1)
+            if least <= np.float32(0.0) or not _is_known(known, row):
+                place = 2 * ids[row]
+            if k + _SOON < some:
+                prefetch(best, 2 * ids[row_of(keys[first + k + _SOON])])
+            top = np.float64(near[row, 6])
+            left -= _splat(given, forms, np.uint64(k), top, place, spent, square, lit, most, best)
+            if left == 0:
+                return left
     return left
 
 
 @inner
 def _fill(
-    scene, sought, eye, face, corner, extent, half, spent, nearest, rectangles, order, square, lit, most, room, best
+    scene, sought, eye, face, corner, extent, half, spent, nearest, rectangles, order, square, lit, brush, room, best
 ):
     """Splat the clusters in `order` onto one square until no light is left. Returns the working arrays, perhaps grown.
 
-    `room` is (waiting, ready, spare): keys of Gaussians that farther ones may still precede, and arrays to sort in.
+    `room` is (waiting, ready, spare, tally, placed): keys of Gaussians that farther ones may still precede, arrays to
+    sort in, and that of `find_reaching`.
     """
-    near, covars, columns, ids = scene
-    waiting, ready, spare = room
+    columns = scene[2]
+    waiting, ready, spare, tally, placed = room
     # literals would compile what is called twice
     left = _open(square, lit, extent)
     held = np.int64(0)
     at = np.int64(0)
     while left > 0 and (at < len(order) or held > 0):
-        if held + _ROUND + CLUSTER > len(waiting):
+        if held + _ROUND + 2 * CLUSTER > len(waiting):
             waiting = _enlarge(waiting, held)
         at, held, horizon = _collect(
-            columns, sought, eye, face, corner, extent, half, nearest, rectangles, order, lit, waiting, at, held
+            columns, sought, eye, face, corner, extent, half, nearest, rectangles, order, lit, placed, waiting, at, held
         )
         while len(ready) < held:
             ready = _enlarge(ready, held)
             spare = _enlarge(spare, held)
         held, chosen = _divide(waiting, held, horizon, ready)
-        if _sort(ready, spare, chosen):
+        if sort_keys(ready, spare, tally, chosen):
             ready, spare = spare, ready
         left = _splat_all(
-            near, covars, ids, eye, face, corner, extent, half, spent, ready, chosen, square, lit, most, best, left
+            scene, sought, eye, face, corner, extent, half, spent, ready, chosen, square, lit, brush, best, left
         )
-    return waiting, ready, spare
+    return waiting, ready, spare, tally, placed
 
 
 @in_threads(lambda scene, sought, eye, size, *_: 6 * ((size + SQUARE - 1) // SQUARE) ** 2)
@@ -431,13 +377,13 @@ def splat_squares(
         taken: (1,) int64, counter of the squares taken; callers omit it.
         scene: `near`, `covars`, `columns` and `ids` of the `Splats`.
         sought: What is looked for: (B,) uint64 for each cluster, bit k set if its member k is known, so that its weight
-            does not count; and float32, the least weight that counts. Specks that do not count are thinned; 0 thins
-            nothing.
+            does not count; and float32, the least weight that counts. Specks that do not count are thinned, and what
+            is known is not found; 0 thins nothing and finds all.
         eye: (3,) float32.
         size: S.
         spent: float32.
         nearest: (B,) float32, bound of the squared distance of each cluster.
-        rectangles: (6, B, 4) int16, where each cluster lies.
+        rectangles: (6, B, 4) int16, where each cluster of `lists` lies.
         lists: (6, B) int64, the clusters of each face, nearest first.
         counts: (6,) int64, number of clusters of each face.
         wanted: (6, T, T) bool, squares to splat, by face, row and column; others keep their light.
@@ -454,8 +400,10 @@ def splat_squares(
         return
     square = np.empty((2, SQUARE, STRIDE), np.float32)
     lit = np.zeros(SQUARE + LANES, np.uint64)
-    room = np.empty(2048, np.uint64), np.empty(2048, np.uint64), np.empty(2048, np.uint64)
-    most = np.zeros(2 * LANES, np.float32)
+    sorting = np.empty(PLACES + 1, np.int64), np.empty(PLACED * LANES, np.float32)
+    room = np.empty(2048, np.uint64), np.empty(2048, np.uint64), np.empty(2048, np.uint64), sorting[0], sorting[1]
+    columns = np.zeros(table.ROWS * table.COLUMNS, np.float32), np.zeros(table.FORMS * table.COLUMNS)
+    brush = np.zeros(2 * LANES, np.float32), columns[0], columns[1]
     corner = np.empty(2, np.float32)
     extent = np.empty(2, np.int64)
     while turn < 6 * side * side:
@@ -468,7 +416,7 @@ def splat_squares(
         if not wanted[face, turn // side % side, turn % side]:
             turn = take_next(taken)
             continue
-        if light.shape[1] == 0 and not _is_reached(rectangles[face], lists[face, : counts[face]], corner, extent):
+        if light.shape[1] == 0 and not _is_reached(rectangles[face], counts[face], corner, extent):
             turn = take_next(taken)
             continue
         room = _fill(
@@ -485,7 +433,7 @@ def splat_squares(
             lists[face, : counts[face]],
             square,
             lit,
-            most,
+            brush,
             room,
             best,
         )
@@ -499,14 +447,15 @@ def splat_squares(
 @kernel
 def take_found(best):
     """Return the Gaussians that light reaches (K,), ascending, and their values (2, K); reset `best` (2 N,) to 0."""
+    found = best.view(np.uint64)  # two values at a time
     count = 0
-    for i in range(len(best) // 2):
-        count += best[2 * i + 1] > 0.0
+    for i in range(len(found)):
+        count += found[i] != _NONE
     ids = np.empty(count, np.int64)
     values = np.empty((2, count), np.float32)
     at = 0
-    for i in range(len(best) // 2):
-        if best[2 * i + 1] > 0.0:
+    for i in range(len(found)):
+        if found[i] != _NONE:
             ids[at], values[0, at], values[1, at] = i, best[2 * i], best[2 * i + 1]
             best[2 * i] = 0.0
             best[2 * i + 1] = 0.0
@@ -519,6 +468,7 @@ def pack_known(known, ids, words):
     """Write for each cluster of rows a word (B,) with bit k set if Gaussian ids[64 b + k] is known (N,)."""
     for b in range(len(words)):
         word = _NONE
-        for i in range(b * CLUSTER, min((b + 1) * CLUSTER, len(ids))):
-            word |= np.uint64(known[ids[i]]) << np.uint64(i - b * CLUSTER)
+        first = np.uint64(b * CLUSTER)
+        for k in range(np.uint64(min(CLUSTER, len(ids) - b * CLUSTER))):
+            word |= np.uint64(known[np.uint64(ids[first + k])]) << k
         words[b] = word
