@@ -259,6 +259,20 @@ def test_fainter_gaussians_come_beside_those_that_are_found_without_them() -> No
         hybrid(g, splats, eye, size=64, faint=2.0 * TAU)
 
 
+def test_what_weighs_enough_is_found_alike_whatever_else_is_known() -> None:
+    g = random_scene(np.random.default_rng(5), 3000)
+    splats, eye = Splats.from_gaussians(g), g.means.mean(axis=0)
+    tau = 0.05
+    known = np.random.default_rng(6).random(len(g)) < 0.5
+    plain = hybrid(g, splats, eye, size=128, tau=tau, margin=None)
+    mine = hybrid(g, splats, eye, size=128, tau=tau, margin=None, search=Search(known=known))
+    assert not known[mine.ids].any()
+    heavy = ~known[plain.ids] & (plain.weights > np.float32(tau))  # others are lifted to tau where light is doubtful
+    assert np.count_nonzero(heavy) > 15
+    found = dense(mine, len(g))[0]
+    np.testing.assert_array_equal(found[plain.ids[heavy]], plain.weights[heavy])
+
+
 def test_more_in_front_never_shows_more_behind() -> None:
     behind = around(800, 6, near=2.0)
     for opacity in (0.1, 0.5, 0.9):
