@@ -21,8 +21,8 @@ def stable_order(values: NDArray[Any]) -> NDArray[np.int64]:
     """
     order = np.argsort(values)
     ranked = values[order]
-    equal = np.flatnonzero(ranked[1:] == ranked[:-1])
-    if len(equal):
-        tied = np.unique(np.concatenate([equal, equal + 1]))
+    equal = ranked[1:] == ranked[:-1]
+    if equal.any():
+        tied = np.flatnonzero(np.append(equal, False) | np.append(False, equal))
         order[tied] = order[tied][np.lexsort((order[tied], ranked[tied]))]
     return order
