@@ -1,6 +1,6 @@
 """Order values by a fast sort, equal ones by their index.
 
-numpy's stable sort takes four times as long as its vectorized one, which leaves equal values in any order.
+numpy's stable sort takes three to six times as long as its vectorized one, which leaves equal values in any order.
 """
 
 from __future__ import annotations
@@ -24,5 +24,6 @@ def stable_order(values: NDArray[Any]) -> NDArray[np.int64]:
     equal = ranked[1:] == ranked[:-1]
     if equal.any():
         tied = np.flatnonzero(np.append(equal, False) | np.append(False, equal))
-        order[tied] = order[tied][np.lexsort((order[tied], ranked[tied]))]
+        first = len(order) * np.cumsum(np.append(False, ~equal))[tied]  # the same for equal values, and ascending
+        order[tied] = np.sort(first + order[tied]) - first
     return order

@@ -15,6 +15,7 @@ ROOMS = (
     "progress",
     "_extras",
     "_text",
+    "_sorting",
     "_check",
     "files",
     "_kernels",
