@@ -138,8 +138,11 @@ class _Source:
 
 
 def _import_all() -> None:
-    """Import what commands import, and let numba read its tables."""
+    """Import what commands import, let numba read its tables, and compile what tests beside it do not compile."""
     import gsvis.cli
+    from tests.one_compiler import compile_once
+
+    compile_once()
 
     for found in iter_modules(gsvis.cli.__path__, "gsvis.cli."):
         import_module(found.name)

@@ -24,7 +24,7 @@ from gsvis.serve.processes import Child, Supervisor, _Place
 from gsvis.serve.server import Address, listen
 from gsvis.serve.siblings import Siblings
 from tests import warm_start
-from tests.serve.servers import PATIENCE, VIEW, has_all, still, until
+from tests.serve.servers import PATIENCE, VIEW, has_all, serving, still, until
 
 
 class Many:
@@ -87,6 +87,13 @@ def all_of(url: str, package: Path, count: int = 1) -> list[StreamClient]:
         return clients
 
     return asyncio.run(stream())
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled(plain: Path) -> None:
+    """Compile here, once, what each of the processes would compile at the same time in a fresh clone."""
+    with serving(plain) as server:
+        all_of(server.url, plain)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="descriptors are inherited as on Unix")
