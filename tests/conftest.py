@@ -29,7 +29,7 @@ os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")  # it col
 if "PYTEST_XDIST_WORKER" in os.environ:  # beside others, who have the same cores; what a test starts inherits it
     os.environ.setdefault("NUMBA_NUM_THREADS", "2")
     os.environ.setdefault("OMP_NUM_THREADS", "2")
-    from tests.one_compiler import compile_once  # here, because numba reads its threads when it is imported
+    from tests.one_compiler import compile_once, locked  # here, because numba reads its threads when it is imported
 
     compile_once()
 
@@ -156,7 +156,20 @@ def _begin_elsewhere(config: pytest.Config) -> None:
         config.args = files[first:] + files[:first]
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, object, object]:
+    """Sort the files. In a fresh clone, let one worker at a time look for constants in all sources.
+
+    Hypothesis does that here, in two seconds, and keeps what it finds: the others read it.
+    """
+    _sort_files(items)
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return (yield)
+    with locked("constants"):
+        return (yield)
+
+
+def _sort_files(items: list[pytest.Item]) -> None:
     """Begin with the longest files: a worker must not be left alone with one at the end. Mix the others.
 
     In the order of their names those that wait for a browser would run side by side, and no core would work.

@@ -24,7 +24,7 @@ try:
 except ImportError:  # not on Windows: there, kernels may be compiled twice
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["LOCKS", "compile_once"]
+__all__ = ["LOCKS", "compile_once", "locked"]
 
 LOCKS = Path(__file__).parent / "__pycache__" / "kernels.lock"
 """In the checkout, as the caches are: in a folder for all, such as /tmp, somebody else could put a link here."""
@@ -49,12 +49,12 @@ def _compile_alone(dispatcher: Any, signature: Any) -> Any:
     if isinstance(dispatcher._cache, NullCache):
         return _compile(dispatcher, signature)
     code = dispatcher.py_func.__code__
-    with global_compiler_lock, _locked(f"{code.co_filename}:{code.co_firstlineno}"):
+    with global_compiler_lock, locked(f"{code.co_filename}:{code.co_firstlineno}"):
         return _compile(dispatcher, signature)
 
 
 @contextmanager
-def _locked(name: str) -> Iterator[None]:
+def locked(name: str) -> Iterator[None]:
     """Hold the byte of a file that stands for a name; nothing, where the file cannot be opened."""
     file, place = _file(), zlib.crc32(name.encode())
     with suppress(OSError):

@@ -77,6 +77,6 @@ def test_locks_lie_in_the_checkout_and_a_link_there_is_not_followed(
     (tmp_path / "locks").symlink_to(tmp_path / "elsewhere")
     monkeypatch.setattr(one_compiler, "LOCKS", tmp_path / "locks")
     monkeypatch.setattr(one_compiler, "_files", {})
-    with one_compiler._locked("a kernel"):
+    with one_compiler.locked("a kernel"):
         assert one_compiler._file() is None
     assert not (tmp_path / "elsewhere").exists()
