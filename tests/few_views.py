@@ -1,4 +1,7 @@
-"""Packages of tests, colored and measured on one small view instead of many. `python -m tests.few_views` is `gsvis`."""
+"""Packages of tests, colored and measured on one small view instead of many.
+
+`python -m tests.few_views` is `gsvis` with them, and with spaces of few voxels.
+"""
 
 from __future__ import annotations
 
@@ -35,8 +38,9 @@ def take_few_views() -> Iterator[None]:
 
 if __name__ == "__main__":
     from gsvis.cli import main
+    from tests.known_spaces import coarse_spaces
     from tests.one_compiler import compile_once
 
     compile_once()
-    with take_few_views():
+    with take_few_views(), coarse_spaces():
         sys.exit(main(sys.argv[1:]))

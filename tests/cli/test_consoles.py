@@ -23,22 +23,26 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def run(encoding: str, *words: object) -> subprocess.CompletedProcess[str]:
+def run(encoding: str, *commands: list[object]) -> tuple[list[int], str, str]:
+    """Run commands in one process; return their exit codes, and all that they print and report."""
     environment = {**os.environ, "PYTHONIOENCODING": encoding}
-    command = [sys.executable, "-m", "gsvis", *map(str, words)]
-    return subprocess.run(command, capture_output=True, encoding=encoding, env=environment, check=False)
+    words = [[str(word) for word in command] for command in commands]
+    code = f"from gsvis.cli import main; codes = [main(words) for words in {words}]; print(codes)"
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, encoding=encoding, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    said, _, codes = done.stdout.rstrip("\n").rpartition("\n")
+    return json.loads(codes), said, done.stderr
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-8"])
 def test_names_that_a_console_lacks_are_escaped(scene: Path, tmp_path: Path, encoding: str) -> None:
     out = tmp_path / f"{NAME}.spz"
-    done = run(encoding, "convert", scene, out, "--json")
-    assert done.returncode == 0, done.stderr
+    words: list[object] = ["convert", scene, out]
+    codes, said, refused = run(encoding, [*words, "--json"], words, [*words, "--overwrite"])
+    assert codes == [0, 2, 0]
     assert out.is_file()
-    assert NAME in json.dumps(json.loads(done.stdout), ensure_ascii=False)
-    again = run(encoding, "convert", scene, out)
-    assert again.returncode == 2
-    assert ("日本" if encoding == "utf-8" else "\\u65e5\\u672c") in again.stderr
-    lines = run(encoding, "convert", scene, out, "--overwrite")
-    assert lines.returncode == 0, lines.stderr
-    assert "40 Gaussians" in " ".join(lines.stdout.split())
+    document, end = json.JSONDecoder().raw_decode(said)
+    assert NAME in json.dumps(document, ensure_ascii=False)
+    assert ("日本" if encoding == "utf-8" else "\\u65e5\\u672c") in refused
+    assert "40 Gaussians" in " ".join(said[end:].split())

@@ -395,7 +395,7 @@ def test_a_run_that_ends_between_its_files_is_resumed_by_the_same_command(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kills with a signal")
 def test_a_file_changed_after_a_kill_between_files_is_not_replaced(ply: Path, tmp_path: Path, capsys: Capture) -> None:
-    words = [str(ply), "-o", str(tmp_path / "levels"), *QUICK]
+    words = [str(ply), "-o", str(tmp_path / "levels"), *QUICK, "--box", "1", "1", "1", "7", "3", "2"]
     code = "import os, signal, sys; from pathlib import Path; from gsvis.files import atomic; move = os.replace\n"
     code += "def replace(a, b):\n    move(a, b)\n"
     code += "    Path(b).parent == Path(sys.argv[3]) and os.kill(os.getpid(), signal.SIGKILL)\n"

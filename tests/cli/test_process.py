@@ -9,6 +9,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+from gsvis.io import save_scene
+from gsvis.scene.procedural import wall_with_hole
+from tests import warm_start
 from tests.cli.halted import Halted
 
 GSVIS = [sys.executable, "-m", "gsvis"]
@@ -33,18 +36,21 @@ def test_an_error_is_one_line_and_code_2() -> None:
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr == "gsvis: error: nowhere.ply: no such file or folder\n"
-    assert "Traceback" in run("inspect", "nowhere.ply", "--debug").stderr
+    command = [*GSVIS, "inspect", "nowhere.ply", "--debug"]
+    assert "Traceback" in warm_start.run(command, capture_output=True, text=True).stderr
 
 
-def test_json_on_stdout_is_one_document_and_nothing_else() -> None:
-    done = run("inspect", "builtin:nested_shells", "--json")
+def test_json_on_stdout_is_one_document_and_nothing_else(tmp_path: Path) -> None:
+    save_scene(wall_with_hole().gaussians[:40], tmp_path / "wall.ply")
+    done = run("inspect", str(tmp_path / "wall.ply"), "--json")
     assert done.returncode == 0
     assert json.loads(done.stdout)["format"] == "gsvis-inspection"
 
 
-def test_a_reader_that_goes_away_is_no_error() -> None:
+def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
+    save_scene(wall_with_hole().gaussians[:40], tmp_path / "wall.ply")
     process = subprocess.Popen(
-        [*GSVIS, "inspect", "builtin:two_rooms", "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*GSVIS, "inspect", tmp_path / "wall.ply", "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
     assert process.stderr is not None
@@ -57,7 +63,7 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
 
 
 def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
-    small = ["--views", "50", "--width", "32", "--height", "24"]
+    small = ["--views", "50", "--width", "32", "--height", "24", "--box", "1", "1", "1", "7", "3", "2"]
     stopped = Halted("cameras", 2, "analyze", "builtin:two_rooms", "-o", tmp_path / "out", *small)
     stopped.wait()
     code, _, text = stopped.end(signal.SIGINT)

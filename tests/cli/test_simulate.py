@@ -196,10 +196,11 @@ def gsvis(*words: object) -> subprocess.CompletedProcess[str]:
     return warm_start.run(command, capture_output=True, text=True, check=False)
 
 
-def test_a_world_beside_a_package_in_a_process_of_its_own(city: Path, folder: Path, tmp_path: Path) -> None:
-    done = gsvis("simulate", city, street(folder), "--path", folder / "walk.csv", "-o", tmp_path, *QUICK, "--json")
-    assert done.returncode == 0, done.stderr
-    document = json.loads(done.stdout)
+@pytest.mark.usefixtures("blank_plots")
+def test_a_world_beside_a_package(city: Path, folder: Path, tmp_path: Path, capsys: Capture) -> None:
+    words = ["simulate", city, street(folder), "--path", folder / "walk.csv", "-o", tmp_path, *QUICK, "--json"]
+    assert main(list(map(str, words))) == 0
+    document = json.loads(capsys.readouterr().out)
     world, package = document["visits"]
     assert world["scene"]["name"] == "city"
     assert world["scene"]["tiles"] == len(World.open(city).manifest.tiles) > 1

@@ -18,7 +18,6 @@ from gsvis.package.made_from import candidates_of, made_from_of
 from gsvis.world import World
 from tests import warm_start
 from tests.few_views import take_few_views
-from tests.known_spaces import fine_spaces
 from tests.world import cities
 
 SMALL = ["--levels", "none", "--tile", "2500", "--cells", "1", "--face-size", "24", "--limit", "0.05", "--workers", "1"]
@@ -132,8 +131,7 @@ def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bytes(scene: st
         return warm_start.Popen([sys.executable, *words], cwd=Path(__file__).parents[2], **quiet)
 
     whole, killed = tmp_path / "whole.gsworld", tmp_path / "killed.gsworld"
-    with fine_spaces():
-        assert main(["world", scene, "-o", str(whole), *SMALL]) == 0
+    assert main(["world", scene, "-o", str(whole), *SMALL]) == 0
     notes = tmp_path / "killed.gsworld.work" / "notes"
     for wanted in (2, 12):  # kill when so many tasks are finished
         process = start(killed)
