@@ -10,7 +10,7 @@ import hashlib
 import os
 import pickle
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.stated import stated_space
 
-__all__ = ["coarse_spaces", "fine_spaces", "remember_spaces"]
+__all__ = ["coarse_spaces", "remember_spaces"]
 
 _MOST = 256  # four for a scene
 _from_scene = NavigableSpace.from_scene
@@ -74,14 +74,6 @@ def coarse_spaces(most: int = 64) -> Iterator[None]:
         yield
 
 
-@contextmanager
-def fine_spaces() -> Iterator[None]:
-    """Let `NavigableSpace.from_scene` find what a process finds that a test starts."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(NavigableSpace, "from_scene", staticmethod(_from_scene))
-        yield
-
-
 def _remember(key: str, folder: Path | None, find: Callable[[], Any]) -> Any:
     if key not in _found:
         if len(_found) >= _MOST:
@@ -93,8 +85,9 @@ def _remember(key: str, folder: Path | None, find: Callable[[], Any]) -> Any:
             _found[key] = find()
             if file is not None:
                 part = file.with_suffix(f".{os.getpid()}")
-                part.write_bytes(pickle.dumps(_found[key]))
-                part.replace(file)  # another process may read it at any time
+                with suppress(OSError):  # a test may let no file grow
+                    part.write_bytes(pickle.dumps(_found[key]))
+                    part.replace(file)  # another process may read it at any time
     return _found[key]
 
 

@@ -32,6 +32,7 @@ QUICK = {
     "analyze": {"--views": "2", "--width": "128", "--height": "96", "--traced-sample": "10", "--rays-per-face": "1"},
     "clean": {"--eyes": "2", "--held-out": "2"},
     "color": {"--views": "2"},
+    "cut": {"--face-size": "16", "--held-out": "1"},
     "levels": {"--steps": "2", "--views": "2", "--held-out": "1", "--width": "24", "--height": "20"},
     "prepare": {
         **SETS,
@@ -42,11 +43,12 @@ QUICK = {
         "--width": "24",
         "--height": "20",
     },
+    "paint": {"--face-size": "16", "--eyes": "2"},
     "pvs": {**SETS, "--face-size": "16", "--certify": "256"},
     "render": {},
     "simulate": {"--seconds": "1", "--every": "0.5", "--width": "32", "--height": "24"},
 }
-SHORTENED = {"--views", "--seconds"}  # given by a page, shortened here
+SHORTENED = {"--eyes", "--seconds", "--views"}  # given by a page, shortened here
 PARSED = {"serve", "color"}  # `serve` never ends; tests/serve and tests/cli run both
 
 
@@ -88,9 +90,9 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) ->
 
 
 @pytest.fixture(scope="module", autouse=True)
-def known_spaces() -> Iterator[None]:
+def known_spaces(shared_folder: Path) -> Iterator[None]:
     """Find the space of the small scene once, among few voxels: most pages ask for it."""
-    with remember_spaces(), coarse_spaces():
+    with remember_spaces(shared_folder), coarse_spaces():
         yield
 
 

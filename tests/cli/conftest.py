@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -38,7 +39,10 @@ def few_judges(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def known_spaces() -> Iterator[None]:
-    """Find the navigable space of a scene once, among few voxels; a module that needs others has its own fixture."""
-    with remember_spaces(), coarse_spaces():
+def known_spaces(shared_folder: Path) -> Iterator[None]:
+    """Find the navigable space of a scene once for all workers, among few voxels.
+
+    A module that needs others has its own fixture.
+    """
+    with remember_spaces(shared_folder), coarse_spaces():
         yield

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -13,9 +14,9 @@ MEASURED = {"test_memory", "test_tiles", "test_tiling"}
 
 
 @pytest.fixture(scope="module", autouse=True)
-def known_spaces(request: pytest.FixtureRequest) -> Iterator[None]:
+def known_spaces(request: pytest.FixtureRequest, shared_folder: Path) -> Iterator[None]:
     if request.module.__name__.rpartition(".")[2] in MEASURED:
         yield
         return
-    with remember_spaces():
+    with remember_spaces(shared_folder):
         yield
