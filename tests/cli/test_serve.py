@@ -201,6 +201,13 @@ def test_the_log_is_as_before_once_the_server_has_ended(
     assert caplog.messages[-1:] == ["after it"]
 
 
+@pytest.fixture(autouse=True)
+def set_aside() -> Iterator[None]:
+    """Set aside what was set aside before: a server that ends gives everything back, and each look then takes long."""
+    yield
+    gc.freeze()
+
+
 def test_the_garbage_collector_passes_over_what_stays(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frozen = []
     gc.unfreeze()  # what tests set aside does not count

@@ -47,7 +47,7 @@ def kept() -> list[str]:
 
 @pytest.fixture
 def uncollected() -> Iterator[None]:
-    """Cycles stay. What was there before is set aside: looking through it each time takes most of a test."""
+    """Cycles stay. What was there before is set aside for good: to look through it each time takes most of a test."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -55,7 +55,6 @@ def uncollected() -> Iterator[None]:
         yield
     finally:
         gc.enable()
-        gc.unfreeze()
 
 
 def leave(server: Server) -> None:
