@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from gsvis.render import fill_around
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
+FEW: Any = {"eyes": 2, "steps": 25}
 SPACE = NavigableSpace.from_box((-0.2, -0.2, -0.2), (0.2, 0.2, 0.2), 4)
 
 
@@ -32,7 +34,7 @@ def ball(count: int = 3000) -> Gaussians:
     return Gaussians(means, quats, np.full((count, 3), 0.05), np.full(count, 0.9), means[:, None, :] / 4.0)
 
 
-@pytest.mark.parametrize("budget", [Budget(splats=250, eyes=2), Budget(fill=4.0, eyes=2), Budget(300, 5.0, eyes=2)])
+@pytest.mark.parametrize("budget", [Budget(splats=250, **FEW), Budget(fill=4.0, **FEW), Budget(300, 5.0, **FEW)])
 def test_a_version_holds_the_budget_at_other_eyes(budget: Budget) -> None:
     g = ball()
     found = fit_budget(g, SPACE, budget)
@@ -53,7 +55,7 @@ def test_a_scene_that_holds_it_stays_as_it_is() -> None:
 
 
 def test_more_budget_is_not_worse() -> None:
-    tight, loose = (fit_budget(ball(), SPACE, Budget(splats=n, eyes=1)) for n in (120, 450))
+    tight, loose = (fit_budget(ball(), SPACE, Budget(splats=n, eyes=1, steps=25)) for n in (120, 450))
     assert loose.mean_db > tight.mean_db
     assert len(loose.scene) > len(tight.scene)
 

@@ -34,7 +34,7 @@ def test_rasterized_and_ray_traced_sets_nearly_agree(
     g = load_scene(realdata / "scenes/flowers_sh2/lod-meta.json", lod=1)
     space = real_space(g)
     # Small pixels: eyes stand around this object and in it, and the two differ by what is smaller than a pixel.
-    cameras = space.sample_cameras(3, np.random.default_rng(0), width=720, height=540, fov=60)
+    cameras = space.sample_cameras(1, np.random.default_rng(0), width=720, height=540, fov=60)
     by_rays = visible_in(Tracer(EllipsoidProxies.from_scene(g)), cameras)
     by_raster = view_weights(g, cameras).largest
     for a, b in ((by_rays, by_raster), (by_raster, by_rays)):
