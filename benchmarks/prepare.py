@@ -29,8 +29,8 @@ EVERY = 0.2  # seconds between samples of memory
 SCENES: dict[str, tuple[str, int | None, float | None]] = {  # file under the scenes' folder, LOD, target in seconds
     "flowers LOD 3": ("flowers_sh2/lod-meta.json", 3, 60.0),
     "flowers LOD 2": ("flowers_sh2/lod-meta.json", 2, 120.0),
-    "nika LOD 0": ("nika_sh3/lod-meta.json", 0, 600.0),
-    "showroom LOD 3": ("showroom/lod-meta.json", 3, 720.0),
+    "nika LOD 0": ("nika_sh3/lod-meta.json", 0, 150.0),
+    "showroom LOD 3": ("showroom/lod-meta.json", 3, 240.0),
     "nika LOD 1": ("nika_sh3/lod-meta.json", 1, None),
     "guitar": ("formats/guitar.compressed.ply", None, 120.0),
 }

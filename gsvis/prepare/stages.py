@@ -167,7 +167,10 @@ class Stages:
         """Return levels; the arrays of large ones lie in a file of the working folder, and leave memory on `rest`."""
         if levels.union.nbytes < LARGE:
             return levels
-        return self._shelf.put(levels)
+        kept = self._shelf.put(levels)
+        scene_hash(kept.union)  # reads all of it, once
+        self.rest()
+        return kept
 
     @cached_property
     def _shelf(self) -> Shelf:

@@ -130,7 +130,7 @@ def _fit_block(
     w = work(terms_at_most, width, channels)
     points = np.zeros((4, width), np.float32)
     rows = np.zeros((4, width), np.float32)
-    left = np.zeros((channels, width), np.float32)
+    left = np.zeros((4, width), np.float32)  # inner products read four rows
     seen = np.zeros(width, np.int64)
     atoms = np.zeros((len(dictionary), width), np.float32)
     norms = np.zeros(len(dictionary), np.float32)

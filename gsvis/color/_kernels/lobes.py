@@ -69,7 +69,10 @@ def _lobe(typing_context, points, place, v, decay, rows, row, slopes):
 
 @intrinsic
 def _block(typing_context, left, i, right, j, count, out):
-    """Write 4 x 4 inner products of rows i.. of left and j.. of right over `count` entries into out (16,)."""
+    """Write 4 x 4 inner products of rows i.. of left and j.. of right over `count` entries into out (16,).
+
+    The last row stands in for rows beyond it.
+    """
     del typing_context
     i64 = types.int64
     signature = types.void(left, i64, right, i64, i64, out)
@@ -81,7 +84,10 @@ def _block(typing_context, left, i, right, j, count, out):
         for array, row in ((0, 1), (2, 3)):
             view = context.make_array(sig.args[array])(context, builder, args[array])
             length = builder.extract_value(view.shape, 1)
-            rows = [builder.mul(builder.add(args[row], ir.Constant(_I64, k)), length) for k in range(4)]
+            last = builder.sub(builder.extract_value(view.shape, 0), ir.Constant(_I64, 1))
+            places = [builder.add(args[row], ir.Constant(_I64, k)) for k in range(4)]
+            inside = [builder.select(builder.icmp_signed("<", at, last), at, last) for at in places]
+            rows = [builder.mul(at, length) for at in inside]
             sides.append((view.data, rows))
         target = context.make_array(sig.args[5])(context, builder, args[5]).data
         before, loop, after = builder.block, *(builder.append_basic_block(name) for name in ("dots", "done"))
