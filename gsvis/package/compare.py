@@ -16,7 +16,6 @@ from gsvis.package.cell_terms import CellTerms
 from gsvis.package.contents import Contents
 from gsvis.package.fidelity import Fidelity
 from gsvis.progress import Progress, silent
-from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.store import VisibilityStore
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
@@ -118,7 +117,7 @@ class _Steps:
             images["terms"] = _rasterize(g, camera, self._before.colors(g.means, eye))
         images["rounding"] = self._draw_records(camera, eye, self._highest, None)
         if self._sets is not None:
-            cell = _cell_of(self._sets.grid, eye)
+            cell = self._sets.grid.nearest(eye)
             seen = np.zeros(len(self._decoded), bool)
             terms = np.zeros(self._after.source.num_terms, bool)
             seen[self._sets.visible_ids(cell)] = True
@@ -131,12 +130,6 @@ class _Steps:
         """Return an image of the decoded Gaussians in `held` (N,), with the terms in `active` (T,) or all."""
         colors = self._after.colors(self._decoded.means, eye, active=active)
         return _rasterize(self._decoded.showing(held), camera, colors)
-
-
-def _cell_of(grid: CellGrid, eye: F64) -> int:
-    """Return the cell of an eye (3,); outside of all cells, the one with the nearest center, as planners do."""
-    cell = int(grid.cell_at(eye[None])[0])
-    return cell if cell >= 0 else int(np.linalg.norm(grid.centers - eye, axis=1).argmin())
 
 
 def _rasterize(g: Gaussians, camera: Cameras, colors: F32 | None = None) -> F32:

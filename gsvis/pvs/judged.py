@@ -79,7 +79,7 @@ def judge_images(
         """Yield each camera with the set of its eye's cell, or of the nearest one."""
         for cameras in (mine, judges.cameras):
             for c in range(len(cameras)):
-                yield cameras[c], held(_cell_of(grid, cameras[c].viewpoints[0]))
+                yield cameras[c], held(grid.nearest(cameras[c].viewpoints[0]))
 
     def compare(looked: tuple[Cameras, NDArray[np.bool_]]) -> float:
         """Return the PSNR of the image from a set against the whole scene."""
@@ -93,12 +93,6 @@ def judge_images(
     values = np.array(found)
     inside = grid.cell_at(eyes) >= 0 if len(eyes) else np.zeros(0, bool)
     return Judged(values[: len(mine)], values[len(mine) :], inside, judges.named, judges.given)
-
-
-def _cell_of(grid: CellGrid, eye: NDArray[np.float64]) -> int:
-    """Return the cell of an eye (3,), or the nearest one."""
-    cell = int(grid.cell_at(eye[None])[0])
-    return cell if cell >= 0 else int(np.linalg.norm(grid.centers - eye, axis=1).argmin())
 
 
 def _draw(g: Gaussians, camera: Cameras) -> F32:

@@ -207,7 +207,7 @@ class _State:
         presence = chances if there is None else np.concatenate([chances, there])
 
         def look(index: int) -> tuple[NDArray[np.int32], F64]:
-            """Return what one camera shows, and the effects."""
+            """Return the Gaussians that one camera shows, and their effects."""
             camera = self.cameras[[index]]
             return self._removals.seen_by(camera, presence, self._shown_by(camera))
 

@@ -25,9 +25,9 @@ def test_images_side_by_side_are_those_drawn_one_by_one(two_threads: None) -> No
     g = scene("mixed", n=400)
     cameras = Cameras.orbit([0, 0, 0], 3.0, 7, width=40, height=30)
     wanted = [display_image(g, cameras[c]) for c in range(len(cameras))]
-    told: list[int] = []
-    views = render_views(g, cameras, progress=lambda stage, done, total: told.append(done))
-    assert told == list(range(len(cameras) + 1))
+    reported: list[int] = []
+    views = render_views(g, cameras, progress=lambda stage, done, total: reported.append(done))
+    assert reported == list(range(len(cameras) + 1))
     found = list(display_images(g, [cameras[c] for c in range(len(cameras))]))
     for c, image in enumerate(wanted):
         np.testing.assert_array_equal(found[c], image)
