@@ -282,8 +282,8 @@ class Tracer:
         offsets = np.searchsorted(pairs // m, np.arange(len(rays_o) + 1))
         values = [np.empty(len(pairs), np.float32) for _ in range(3)]
         counts = np.empty(len(rays_o), np.int64)
-        table, content, _, _ = self.hierarchy.arrays
-        _kernels.weigh_candidates(table, content, rays_o, rays_d, self.limits, offsets, positions, counts, *values)
+        table = self.hierarchy.table
+        _kernels.weigh_candidates(table, rays_o, rays_d, self.limits, offsets, positions, counts, *values)
         kept = np.arange(len(pairs)) - np.repeat(offsets[:-1], np.diff(offsets)) < np.repeat(counts, np.diff(offsets))
         ends = np.concatenate([[0], np.cumsum(counts)])
         return Contributions(ends, self.hierarchy.ids[positions[kept]], *(value[kept] for value in values))

@@ -125,12 +125,12 @@ def _to_gaussians(tracer: Tracer, eye: F64, rays: GaussianRays, ids: NDArray[np.
     g = tracer.proxies.gaussians
     there = np.flatnonzero(hierarchy.positions[ids] >= 0)  # the others are too faint to be visible
     targets = np.sort(hierarchy.positions[ids[there]])  # neighbors in sequence: their paths share memory
-    table = hierarchy.table[targets]
     owners = hierarchy.ids[targets]
+    means = g.means[owners].astype(np.float64)
     best = np.zeros(len(targets))
     out = np.empty(len(targets))
-    for offset in _offsets(table, g.quats[owners], g.scales[owners], eye, rays.ring):
-        toward = table[:, :3] + offset - eye
+    for offset in _offsets(means, g.quats[owners], g.scales[owners], eye, rays.ring):
+        toward = means + offset - eye
         length = np.linalg.norm(toward, axis=1)
         toward[length == 0.0] = (1.0, 0.0, 0.0)  # the eye is at the center: any direction will do
         toward /= np.where(length == 0.0, 1.0, length)[:, None]
@@ -142,13 +142,14 @@ def _to_gaussians(tracer: Tracer, eye: F64, rays: GaussianRays, ids: NDArray[np.
     return everything[ids]
 
 
-def _offsets(table: F64, quats: F32, scales: F32, eye: F64, ring: int) -> list[F64]:
+def _offsets(means: F64, quats: F32, scales: F32, eye: F64, ring: int) -> list[F64]:
     """Return offsets (M, 3) from the centers to the ray targets."""
-    offsets = [np.zeros((len(table), 3))]
-    if ring == 0 or len(table) == 0:
+    offsets = [np.zeros((len(means), 3))]
+    if ring == 0 or len(means) == 0:
         return offsets
-    axes = rotations_from_quats(quats) * scales.astype(np.float64)[:, None, :]  # world from whitened
-    view = np.einsum("nij,nj->ni", table[:, 3:12].reshape(-1, 3, 3), table[:, :3] - eye)
+    rotations = rotations_from_quats(quats)
+    axes = rotations * scales.astype(np.float64)[:, None, :]  # world from whitened
+    view = np.einsum("nji,nj->ni", rotations, means - eye) / scales
     norm = np.linalg.norm(view, axis=1, keepdims=True)
     view = np.where(norm > 0.0, view / np.where(norm > 0.0, norm, 1.0), (1.0, 0.0, 0.0))
     u = np.cross(view, np.eye(3)[np.abs(view).argmin(axis=1)])

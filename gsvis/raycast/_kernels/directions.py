@@ -89,9 +89,9 @@ def first_free(mean, direction, free, origin, size, out):
         to_next[axis] += size / abs(direction[axis])
 
 
-@in_parts(lambda table, content, boxes, children, targets, *_: len(targets))
+@in_parts(lambda table, boxes, children, targets, *_: len(targets))
 @kernel(error_model="numpy")
-def trace_outward(begin, end, table, content, boxes, children, targets, rays, free, origin, size, limits, tau, sets):
+def trace_outward(begin, end, table, boxes, children, targets, rays, free, origin, size, limits, tau, sets):
     """Trace direction sets of targets (M,) hierarchy positions (-1: never visible) along rays (80, K, 3)."""
     for i in range(begin, end):
         g = targets[i]
@@ -108,16 +108,16 @@ def trace_outward(begin, end, table, content, boxes, children, targets, rays, fr
                 if not first_free(mean, outward, free, origin, size, eye):
                     continue
                 weight = weight_of(
-                    table, content, boxes, children, eye, -outward, g, limits, tau, stack_node, stack_near, t_near
+                    table, boxes, children, eye, -outward, g, limits, tau, stack_node, stack_near, t_near
                 )
                 if weight >= tau:
                     sets[i, f >> 3] |= np.uint8(1 << (f & 7))
                     break
 
 
-@in_threads(lambda table, content, boxes, children, targets, *_: (len(targets) + 63) // 64)
+@in_threads(lambda table, boxes, children, targets, *_: (len(targets) + 63) // 64)
 @kernel(error_model="numpy")
-def see_from_space(taken, table, content, boxes, children, targets, rays, free, origin, size, limits, tau, seen):
+def see_from_space(taken, table, boxes, children, targets, rays, free, origin, size, limits, tau, seen):
     """Write into seen (M,) whether an eye in a free voxel sees targets (M,) along one of rays (R, 3), tried in turn."""
     blocks = (len(targets) + 63) // 64
     stack_node = np.empty(STACK, np.int64)
@@ -135,7 +135,7 @@ def see_from_space(taken, table, content, boxes, children, targets, rays, free, 
                 if not first_free(table[g, :3], rays[k], free, origin, size, eye):
                     continue
                 weight = weight_of(
-                    table, content, boxes, children, eye, -rays[k], g, limits, tau, stack_node, stack_near, t_near
+                    table, boxes, children, eye, -rays[k], g, limits, tau, stack_node, stack_near, t_near
                 )
                 if weight >= tau:
                     seen[i] = True

@@ -1,7 +1,7 @@
 """Kernels that traverse the hierarchy: what a ray meets, how much light is left, the weight of each Gaussian.
 
-All arrays are checked and contiguous; world frame, scene units, float64 arithmetic. `table` has one row of 16 per
-Gaussian in hierarchy order: mean (3), whitening matrix (9), squared reach, opacity, and two unused numbers.
+All arrays are checked and contiguous; world frame, scene units, float64 arithmetic. `table` has one row of 16 float32
+per Gaussian in hierarchy order, which fills a cache line; the constants below say what is where.
 """
 
 from __future__ import annotations
@@ -13,6 +13,12 @@ from gsvis._kernels.shared import share, take_next
 from gsvis._kernels.threads import in_parts, on_numba_threads
 from gsvis.raycast._kernels.bvh import MOST_LEVELS, WIDTH
 from gsvis.raycast._kernels.simd import meets_eight
+
+# Columns of a row. A float64 is split into two float32, its rounded value and the rest.
+# 0 to 2 are the mean, 3 to 6 the unit quaternion wxyz, 7 to 9 the inverse standard deviations, 13 to 15 their rests.
+REACH = 10  # squared, in standard deviations
+OPACITY = 11
+RANK = 12  # among Gaussians of equal mean
 
 STACK = 1 + (WIDTH - 1) * MOST_LEVELS  # a traversal leaves at most seven children waiting on each level
 _PRUNE_EVERY = 16
@@ -29,12 +35,29 @@ def _peak(table, g, ox, oy, oz, dx, dy, dz):
     x = ox - row[0]
     y = oy - row[1]
     z = oz - row[2]
-    px = row[3] * x + row[4] * y + row[5] * z
-    py = row[6] * x + row[7] * y + row[8] * z
-    pz = row[9] * x + row[10] * y + row[11] * z
-    qx = row[3] * dx + row[4] * dy + row[5] * dz
-    qy = row[6] * dx + row[7] * dy + row[8] * dz
-    qz = row[9] * dx + row[10] * dy + row[11] * dz
+    w = np.float64(row[3])
+    i = np.float64(row[4])
+    j = np.float64(row[5])
+    k = np.float64(row[6])
+    inverse_x = np.float64(row[7]) + np.float64(row[13])
+    inverse_y = np.float64(row[8]) + np.float64(row[14])
+    inverse_z = np.float64(row[9]) + np.float64(row[15])
+    # Columns of the rotation, which are the principal axes.
+    xx = 1.0 - 2.0 * (j * j + k * k)
+    xy = 2.0 * (i * j + w * k)
+    xz = 2.0 * (i * k - w * j)
+    yx = 2.0 * (i * j - w * k)
+    yy = 1.0 - 2.0 * (i * i + k * k)
+    yz = 2.0 * (j * k + w * i)
+    zx = 2.0 * (i * k + w * j)
+    zy = 2.0 * (j * k - w * i)
+    zz = 1.0 - 2.0 * (i * i + j * j)
+    px = (xx * x + xy * y + xz * z) * inverse_x
+    py = (yx * x + yy * y + yz * z) * inverse_y
+    pz = (zx * x + zy * y + zz * z) * inverse_z
+    qx = (xx * dx + xy * dy + xz * dz) * inverse_x
+    qy = (yx * dx + yy * dy + yz * dz) * inverse_y
+    qz = (zx * dx + zy * dy + zz * dz) * inverse_z
     along = px * qx + py * qy + pz * qz
     length = qx * qx + qy * qy + qz * qz
     if along >= 0.0:
@@ -46,21 +69,18 @@ def _peak(table, g, ox, oy, oz, dx, dy, dz):
 
 
 @uncounted
-def before(table, content, i, depth_i, j, depth_j):
+def before(table, i, depth_i, j, depth_j):
     """Return whether hit i comes before hit j: by float32 depth, and at equal depth by content, never by index."""
     if depth_i != depth_j:
         return depth_i < depth_j
     for c in range(3):
         if table[i, c] != table[j, c]:
             return table[i, c] < table[j, c]
-    for c in range(content.shape[1]):
-        if content[i, c] != content[j, c]:
-            return content[i, c] < content[j, c]
-    return False
+    return table[i, RANK] < table[j, RANK]
 
 
 @uncounted
-def sort_hits(table, content, ids, alphas, depths, count):
+def sort_hits(table, ids, alphas, depths, count):
     """Order the first `count` hits front to back, in place (shell sort: short, nearly sorted lists)."""
     for gap in (132, 57, 23, 10, 4, 1):
         for i in range(gap, count):
@@ -68,7 +88,7 @@ def sort_hits(table, content, ids, alphas, depths, count):
             a = alphas[i]
             t = depths[i]
             j = i
-            while j >= gap and before(table, content, g, t, ids[j - gap], depths[j - gap]):
+            while j >= gap and before(table, g, t, ids[j - gap], depths[j - gap]):
                 ids[j], alphas[j], depths[j] = ids[j - gap], alphas[j - gap], depths[j - gap]
                 j -= gap
             ids[j] = g
@@ -89,14 +109,14 @@ def count_until_spent(alphas, count, min_transmittance):
 
 @inner
 def trace_ray(
-    table, content, boxes, children, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near
+    table, boxes, children, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near
 ):
     """Find all hits of one ray, sorted and cut where transmittance is spent.
 
     `limits` is (min_alpha, max_alpha, min_transmittance). Returns the number of hits and the buffers. Full buffers are
     replaced by larger ones.
     """
-    scene = table, content, boxes, children
+    scene = table, boxes, children
     count = _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near)
     while count < 0:
         ids = np.empty(2 * len(ids), np.int64)
@@ -109,7 +129,7 @@ def trace_ray(
 @uncounted
 def _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near):
     """Write the hits of one ray into the buffers; see `trace_ray`. Returns their number, or -1 if a buffer is full."""
-    table, content, boxes, children = scene
+    table, boxes, children = scene
     min_alpha, max_alpha, min_transmittance = limits
     ox = ray_o[0]
     oy = ray_o[1]
@@ -149,9 +169,9 @@ def _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, sta
                 continue
             g = -1 - child
             squared, depth = _peak(table, g, ox, oy, oz, dx, dy, dz)
-            if squared > table[g, 12] or depth > t_stop:
+            if squared > table[g, REACH] or depth > t_stop:
                 continue
-            alpha = table[g, 13] * np.exp(-0.5 * squared)
+            alpha = table[g, OPACITY] * np.exp(-0.5 * squared)
             if alpha < min_alpha:
                 continue
             if count == len(ids):
@@ -161,16 +181,16 @@ def _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, sta
             count += 1
             left *= 1.0 - alpha
             if left < min_transmittance and count >= prune_at:
-                sort_hits(table, content, ids, alphas, depths, count)
+                sort_hits(table, ids, alphas, depths, count)
                 count = count_until_spent(alphas, count, min_transmittance)
                 t_stop = max(np.float64(depths[count - 1]) * (1.0 + 1e-6), 0.0)
                 prune_at = count + _PRUNE_EVERY
-    sort_hits(table, content, ids, alphas, depths, count)
+    sort_hits(table, ids, alphas, depths, count)
     return np.int64(count_until_spent(alphas, count, min_transmittance))
 
 
 @uncounted
-def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, floor, stack_node, stack_near, t_near):
+def weight_of(table, boxes, children, ray_o, ray_d, target, limits, floor, stack_node, stack_near, t_near):
     """Return the weight of one Gaussian on one ray, or 0 below `floor`, so that hidden Gaussians end early.
 
     Transmittance is a product, so occluders need no order and no list.
@@ -183,7 +203,7 @@ def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, flo
     dy = ray_d[1]
     dz = ray_d[2]
     squared, depth = _peak(table, target, ox, oy, oz, dx, dy, dz)
-    alpha = table[target, 13] * np.exp(-0.5 * squared)
+    alpha = table[target, OPACITY] * np.exp(-0.5 * squared)
     if alpha < min_alpha:
         return 0.0
     alpha = min(alpha, max_alpha)
@@ -218,19 +238,19 @@ def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, flo
             if g == target:
                 continue
             squared, depth = _peak(table, g, ox, oy, oz, dx, dy, dz)
-            if squared > table[g, 12] or depth > t_stop:
+            if squared > table[g, REACH] or depth > t_stop:
                 continue
-            other = table[g, 13] * np.exp(-0.5 * squared)
-            if other >= min_alpha and before(table, content, g, np.float32(depth), target, end):
+            other = table[g, OPACITY] * np.exp(-0.5 * squared)
+            if other >= min_alpha and before(table, g, np.float32(depth), target, end):
                 left *= 1.0 - min(other, max_alpha)
                 if left < least:
                     return 0.0
     return alpha * left
 
 
-@in_parts(lambda table, content, boxes, children, rays_o, *_: (len(rays_o) + 255) // 256)
+@in_parts(lambda table, boxes, children, rays_o, *_: (len(rays_o) + 255) // 256)
 @kernel(error_model="numpy")
-def weights_of(begin, end, table, content, boxes, children, rays_o, rays_d, targets, limits, floor, out):
+def weights_of(begin, end, table, boxes, children, rays_o, rays_d, targets, limits, floor, out):
     """Write the weight of targets[r] on ray r into out (R,)."""
     for block in range(begin, end):
         stack_node = np.empty(STACK, np.int64)
@@ -239,7 +259,6 @@ def weights_of(begin, end, table, content, boxes, children, rays_o, rays_d, targ
         for r in range(256 * block, min(len(rays_o), 256 * block + 256)):
             out[r] = weight_of(
                 table,
-                content,
                 boxes,
                 children,
                 rays_o[r],
@@ -253,13 +272,12 @@ def weights_of(begin, end, table, content, boxes, children, rays_o, rays_d, targ
             )
 
 
-@in_parts(lambda table, content, boxes, children, rays_o, *_: (len(rays_o) + 63) // 64)
+@in_parts(lambda table, boxes, children, rays_o, *_: (len(rays_o) + 63) // 64)
 @kernel(error_model="numpy")
 def trace_rays(
     begin,
     end,
     table,
-    content,
     boxes,
     children,
     rays_o,
@@ -283,7 +301,6 @@ def trace_rays(
         for r in range(64 * block, min(len(rays_o), 64 * block + 64)):
             count, ids, alphas, depths = trace_ray(
                 table,
-                content,
                 boxes,
                 children,
                 rays_o[r],
@@ -311,13 +328,12 @@ def store(ids, alphas, depths, count, out_ids, out_alphas, out_weights, out_dept
         transmittance *= 1.0 - alphas[i]
 
 
-@in_parts(lambda table, content, rays_o, *_: len(rays_o))
+@in_parts(lambda table, rays_o, *_: len(rays_o))
 @kernel(error_model="numpy")
 def weigh_candidates(
     begin,
     end,
     table,
-    content,
     rays_o,
     rays_d,
     limits,
@@ -345,11 +361,11 @@ def weigh_candidates(
             squared, depth = _peak(
                 table, g, rays_o[r, 0], rays_o[r, 1], rays_o[r, 2], rays_d[r, 0], rays_d[r, 1], rays_d[r, 2]
             )
-            alpha = table[g, 13] * np.exp(-0.5 * squared)
-            if squared <= table[g, 12] and alpha >= min_alpha:
+            alpha = table[g, OPACITY] * np.exp(-0.5 * squared)
+            if squared <= table[g, REACH] and alpha >= min_alpha:
                 ids[count], alphas[count], depths[count] = g, min(alpha, max_alpha), np.float32(depth)
                 count += 1
-        sort_hits(table, content, ids, alphas, depths, count)
+        sort_hits(table, ids, alphas, depths, count)
         count = count_until_spent(alphas, count, min_transmittance)
         out_count[r] = count
         store(
@@ -365,7 +381,7 @@ def weigh_candidates(
 
 
 @inner(error_model="numpy")
-def _raise_row(row, table, content, boxes, children, rays_o, rays_d, limits, taken, out):
+def _raise_row(row, table, boxes, children, rays_o, rays_d, limits, taken, out):
     """Raise the entries of a row of `out` to the weights of some rays; see `largest_weights`."""
     ids = np.empty(512, np.int64)
     alphas = np.empty(512, np.float64)
@@ -378,7 +394,6 @@ def _raise_row(row, table, content, boxes, children, rays_o, rays_d, limits, tak
         for r in range(first, min(len(rays_o), first + 64)):
             count, ids, alphas, depths = trace_ray(
                 table,
-                content,
                 boxes,
                 children,
                 rays_o[r],
@@ -400,12 +415,12 @@ def _raise_row(row, table, content, boxes, children, rays_o, rays_d, limits, tak
 
 @on_numba_threads
 @kernel
-def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out):
+def largest_weights(table, boxes, children, rays_o, rays_d, limits, out):
     """Write the largest weight of every Gaussian over the rays into out (threads, N) float32; rows are to be joined."""
     share(
         _raise_row,
         len(out),
-        (table, content, boxes, children, rays_o, rays_d, limits, np.zeros(1, np.int64), out),
+        (table, boxes, children, rays_o, rays_d, limits, np.zeros(1, np.int64), out),
     )
 
 
