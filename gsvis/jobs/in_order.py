@@ -17,17 +17,21 @@ _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 
-def in_order(function: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:
+def in_order(
+    function: Callable[[_Item], _Result], items: Iterable[_Item], threads: int | None = None
+) -> Iterator[_Result]:
     """Yield function(item) for each item, in order. Items are taken in the caller's thread, a few ahead.
 
-    Threads are as many as those of kernels, and kernels that a function calls have one thread each. So this pays where
-    a function spends its time in kernels or compression, which hold no lock of Python.
+    Kernels that a function calls have one thread each. So this pays where a function spends its time in kernels or
+    compression, which hold no lock of Python.
 
     Args:
         function: Called in other threads, for several items at the same time.
         items: Anything; at most one item more than there are threads waits.
+        threads: How many items are worked on at the same time; 1 where the caller works meanwhile. None means as many
+            as kernels have threads.
     """
-    threads = get_num_threads()
+    threads = threads or get_num_threads()
 
     def alone(item: _Item) -> _Result:
         """Return the result of an item."""

@@ -14,14 +14,14 @@ __all__ = ["expected_memory", "fitting_workers", "sets_memory", "shared_files"]
 
 # Measured peaks with a margin (docs/design/070): bytes of a process with its libraries; for each Gaussian those of its
 # prepared look and of the tracer that certifies, which processes share, and those that a process needs beside them.
-_BASE = {"hybrid": 280 << 20, "raster": 380 << 20, "raycast": 260 << 20}
-_PREPARED = {"hybrid": 110 + 420, "raster": 70 + 420, "raycast": 70 + 420}
-_PER_GAUSSIAN = {"hybrid": 80, "raster": 350, "raycast": 610}
+_BASE = {"hybrid": 200 << 20, "raster": 380 << 20, "raycast": 260 << 20}
+_PREPARED = {"hybrid": 110 + 300, "raster": 70 + 300, "raycast": 70 + 300}
+_PER_GAUSSIAN = {"hybrid": 60, "raster": 350, "raycast": 610}
 _PER_PIXEL = {"hybrid": 6 * 24, "raster": 6 * 64, "raycast": 6 * 64}  # all six faces
 _PARENT_BASE = 220 << 20
 _PARENT_PER_GAUSSIAN = 320  # navigable space, order of the store, and leftovers of reading
 _CHECK_BASE = 300 << 20  # parts of the second tracer
-_CHECK_PER_GAUSSIAN = 420  # hierarchy of the first
+_CHECK_PER_GAUSSIAN = 300  # hierarchy of the first
 
 _SCENE_BYTES = 58  # of each Gaussian in the arrays of the scene
 

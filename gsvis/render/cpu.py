@@ -21,10 +21,23 @@ from gsvis.render._kernels import tiles as _kernels_tiles
 from gsvis.render.splats import View, blend, color_splats, in_usual_units, project
 from gsvis.scene.lengths import length_factor
 
-__all__ = ["rasterize_cpu"]
+__all__ = ["Frozen", "rasterize_cpu"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Frozen:
+    """The first Gaussians of a scene, which receive no gradient except by their projected centers.
+
+    Attributes:
+        count: Their number.
+        shown: (count,) which of them are drawn; None for all.
+    """
+
+    count: int = 0
+    shown: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +57,13 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, view: View, options: tuple[F32, int, bool, bool, int], probe: Tensor, *tensors: Tensor | None
+        ctx: Any, view: View, options: tuple[F32, int, bool, bool, Frozen], probe: Tensor, *tensors: Tensor | None
     ) -> tuple[Tensor, ...]:
         """Render the view and keep what the backward pass needs."""
-        background, degree, antialiased, with_gradient, _ = options
+        background, degree, antialiased, with_gradient, frozen = options
         arrays = [None if t is None else _array(t) for t in tensors]
         scene, colors = _Scene(*arrays[:6]), arrays[6]  # type: ignore[arg-type]
-        projected = project(scene, view, antialiased=antialiased, pairs=with_gradient)
+        projected = project(scene, view, antialiased=antialiased, pairs=with_gradient, shown=frozen.shown)
         features = color_splats(scene, projected, view, degree, colors)
         image, transmittance, depth, median, stop_at = blend(projected, view, features, background)
         ctx.saved = (view, options, scene, colors, projected, features, transmittance, depth, stop_at)
@@ -69,16 +82,17 @@ class _Rasterize(torch.autograd.Function):
             np.zeros((*shape, *extra), np.float32) if v is None else np.ascontiguousarray(v.numpy(), np.float32)
             for v, extra in zip(by_outputs[:3], ((3,), (), ()), strict=True)
         )
+        stand = int(np.searchsorted(projected.ids, frozen.count))  # ids ascend
+        still = 0 if ctx.needs_input_grad[2] else stand
         pairs = np.empty((len(projected.members), 12), np.float32)
         _kernels_tiles.blend_tiles_backward(
             projected.splats, features, projected.offsets, projected.members, projected.pair_of, view.tiles[0],
-            background, tuple(forward), (by_image, by_alpha, by_depth), pairs,
+            background, tuple(forward), (by_image, by_alpha, by_depth), still, pairs,
         )  # fmt: skip
         sums = np.empty((len(projected.ids), 10))
-        _kernels_tiles.sum_pairs(projected.order, projected.first_pair, pairs, sums)
+        _kernels_tiles.sum_pairs(projected.order, projected.first_pair, pairs, still, sums)
         v_means, v_quats, v_scales = (_zeros_of(a) for a in (scene.means, scene.quats, scene.scales))
         v_opacities, v_sh0, v_shN = (_zeros_of(a) for a in (scene.opacities, scene.sh0, scene.shN))
-        stand = int(np.searchsorted(projected.ids, frozen))  # ids ascend
         ids = projected.ids[stand:]
         moved = sums[stand:]
         v_means2d = np.empty((len(moved), 2))
@@ -126,6 +140,9 @@ def _array(tensor: Tensor) -> F32:
     return np.ascontiguousarray(tensor.detach().numpy(), np.float32)
 
 
+_NOTHING = Frozen()
+
+
 def rasterize_cpu(
     tensors: Any,
     view: View,
@@ -135,7 +152,7 @@ def rasterize_cpu(
     antialiased: bool = False,
     colors: Tensor | None = None,
     probe: Tensor | None = None,
-    frozen: int = 0,
+    frozen: Frozen = _NOTHING,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Render one view.
 
@@ -146,8 +163,9 @@ def rasterize_cpu(
         sh_degree: Degree to evaluate, at most that of the scene.
         antialiased: Lower opacities so that the dilation keeps their integral.
         colors: (N, 3) RGB instead of SH.
-        probe: (N, 2) zeros that require grad; receives the gradient by the projected centers, loss per pixel.
-        frozen: Number of Gaussians, from the first on, that receive no gradient except through `probe`.
+        probe: (N, 2) zeros that require grad; receives the gradient by the projected centers, loss per pixel. None
+            saves most of the backward pass of what is frozen.
+        frozen: The first Gaussians, which receive no gradient except through `probe`.
 
     Returns:
         image (H, W, 3), alpha (H, W), expected depth (H, W), median depth (H, W).

@@ -20,7 +20,7 @@ from gsvis.errors import BackendError
 from gsvis.render.colors import Colors, camera_colors
 from gsvis.render.device import torch_device_of, why_no_cuda
 from gsvis.render.reference import draw_reference
-from gsvis.render.splats import View, draw
+from gsvis.render.splats import View, check_no_skew, draw
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
@@ -130,8 +130,7 @@ def rasterize(
     of_tensors = _is_gaussian_tensors(gaussians)
     if not isinstance(gaussians, Gaussians) and not of_tensors:
         raise ValueError(f"gaussians: expected Gaussians or GaussianTensors, got {type(gaussians).__name__}")
-    if np.abs(cameras.Ks[:, 0, 1]).max(initial=0.0) > 0.0:
-        raise ValueError("cameras: expected Ks without skew (Ks[:, 0, 1] == 0); undistort the images first")
+    check_no_skew(cameras)
     behind: F32 = _check.floats("background", background, (3,))
     degree = gaussians.sh_degree if sh_degree is None else min(_sh_degree(sh_degree), gaussians.sh_degree)
     _check.positive_int("frozen", frozen, at_least=0)

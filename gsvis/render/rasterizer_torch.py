@@ -19,7 +19,7 @@ from torch import Tensor
 from gsvis.errors import BackendError
 from gsvis.render.colors import Colors
 from gsvis.render.colors_torch import TensorColors, camera_colors_torch
-from gsvis.render.cpu import rasterize_cpu
+from gsvis.render.cpu import Frozen, rasterize_cpu
 from gsvis.render.cuda import rasterize_cuda
 from gsvis.render.device import why_no_cuda
 from gsvis.render.reference_torch import blend_reference, project_reference
@@ -137,7 +137,7 @@ def _draw_cpu(
         antialiased=antialiased,
         colors=colors,
         probe=probe,
-        frozen=frozen,
+        frozen=Frozen(frozen),
     )
 
 

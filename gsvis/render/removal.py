@@ -19,7 +19,7 @@ from gsvis.color.sh import write_sh_colors
 from gsvis.progress import Progress, silent
 from gsvis.render._kernels import removal as _kernels_removal
 from gsvis.render.colors import Colors, camera_colors
-from gsvis.render.splats import Projected, View, blend, color_splats, project
+from gsvis.render.splats import Projected, View, blend, check_no_skew, color_splats, project
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
@@ -84,8 +84,7 @@ def removal_effects(
     Raises:
         ValueError: If an argument has the wrong shape or type, or is not finite.
     """
-    if np.abs(cameras.Ks[:, 0, 1]).max(initial=0.0) > 0.0:
-        raise ValueError("cameras: expected Ks without skew (Ks[:, 0, 1] == 0); undistort the images first")
+    check_no_skew(cameras)
     behind = _check.floats("background", background, (3,))
     shape = (len(cameras), cameras.height, cameras.width, 3)
     if images is not None:

@@ -18,9 +18,20 @@ from gsvis.color.sh import write_sh_colors
 from gsvis.render._kernels import order as _kernels_order
 from gsvis.render._kernels import project as _kernels_project
 from gsvis.render._kernels import tiles as _kernels_tiles
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.lengths import length_factor
 
-__all__ = ["Projected", "View", "blend", "color_splats", "draw", "in_usual_units", "project", "project_splats"]
+__all__ = [
+    "Projected",
+    "View",
+    "blend",
+    "check_no_skew",
+    "color_splats",
+    "draw",
+    "in_usual_units",
+    "project",
+    "project_splats",
+]
 
 _BLOCK = 2048
 _CHUNKS = 4  # chunks of the depth order for each thread
@@ -28,6 +39,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +104,17 @@ class Projected:
     first_pair: NDArray[np.int64]
 
 
-def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projected:
+def check_no_skew(cameras: Cameras) -> None:
+    """Raise an error if a camera has skew.
+
+    Raises:
+        ValueError: If one has.
+    """
+    if np.abs(cameras.Ks[:, 0, 1]).max(initial=0.0) > 0.0:
+        raise ValueError("cameras: expected Ks without skew (Ks[:, 0, 1] == 0); undistort the images first")
+
+
+def project(scene: Any, view: View, *, antialiased: bool, pairs: bool, shown: Mask | None = None) -> Projected:
     """Project Gaussians, sort them by depth and list them by tile.
 
     Args:
@@ -100,19 +122,21 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
         view: The camera.
         antialiased: Lower opacities so that the dilation keeps their integral.
         pairs: Number the (tile, splat) pairs, as gradients and weights need.
+        shown: (S,) which of the first S Gaussians are drawn; all others are. None draws all.
     """
-    ids, splats, depths = project_splats(scene, view, antialiased=antialiased)
+    ids, splats, depths = project_splats(scene, view, antialiased=antialiased, shown=shown)
     order = _sort_splats(scene, ids, depths)
     return Projected(ids, splats, depths, order, *_list_tiles(splats, order, view, pairs=pairs))
 
 
-def project_splats(scene: Any, view: View, *, antialiased: bool) -> tuple[I32, F64, F32]:
+def project_splats(scene: Any, view: View, *, antialiased: bool, shown: Mask | None = None) -> tuple[I32, F64, F32]:
     """Return the Gaussians (M,) that reach a pixel, their splats (M, 8) and depths (M,), in the order of the scene.
 
     Args:
         scene: Object with arrays means, quats, scales and opacities.
         view: The camera.
         antialiased: Lower opacities so that the dilation keeps their integral.
+        shown: (S,) which of the first S Gaussians are drawn; all others are. None draws all.
     """
     n = len(scene.means)
     blocks = -(-n // _BLOCK)
@@ -123,9 +147,9 @@ def project_splats(scene: Any, view: View, *, antialiased: bool) -> tuple[I32, F
     size = (view.width, view.height)
     factor = length_factor(scene.means)
     means, scales, viewmat = in_usual_units(scene, view, factor)
-    shapes = _check.read_only(means, scene.quats, scales, scene.opacities)
+    some = np.zeros(0, bool) if shown is None else shown
     _kernels_project.project(
-        *shapes,
+        _check.read_only(means, scene.quats, scales, scene.opacities, some),
         viewmat,
         view.intrinsics,
         *size,

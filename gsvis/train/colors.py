@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ from gsvis.color.evaluate_torch import SrbfTensors, evaluate_torch
 from gsvis.color.learning import LearnedValues, RowsOfView, SeenColors, see_rgb
 from gsvis.color.sh import seen_sh_colors
 from gsvis.color.srbf import MAX_DECAY, SrbfColors, spherical_coordinates, unit_vectors
+from gsvis.jobs.in_order import in_order
 from gsvis.progress import Progress, silent
 from gsvis.render.device import OnDevice
 from gsvis.render.device_scene import DeviceScene
@@ -151,27 +153,52 @@ def learn_colors(
     there = DeviceScene(drawn, backend)
     work = OnDevice("colors are learned", there.on_device)
 
-    def descend(index: int, seen: FixedView | DeviceView) -> tuple[SeenColors, NDArray[np.float32]]:
-        """Return the colors that a view shows, and the gradient by them."""
+    def look(seen: FixedView | DeviceView) -> _Look:
+        """Return a view, and what it is to show, unless that is an image."""
         where = ids[seen.ids]
-        found = student.see(where, seen.eye)
-        if isinstance(views, Cameras):
-            return found, _by_own_image(seen, found.colors, seen_sh_colors(g, where, seen.eye))
-        return found, _by_image(seen, found.colors, views.image(index), config)
+        wanted = seen_sh_colors(g, where, seen.eye) if isinstance(views, Cameras) else None
+        return _Look(seen, where, wanted)
+
+    def look_ahead(step: int) -> _Look | None:
+        """Return the view of a step, which no step changes, while another one is taken; None on a device."""
+        return None if work.works else look(FixedView(drawn, cameras[view_of_step(step, len(views), config.seed)]))
+
+    def descend(index: int, at: _Look) -> tuple[SeenColors, NDArray[np.float32]]:
+        """Return the colors that a view shows, and the gradient by them."""
+        found = student.see(at.where, at.seen.eye)
+        if at.wanted is None:
+            assert not isinstance(views, Cameras)
+            return found, _by_image(at.seen, found.colors, views.image(index), config)
+        return found, _by_own_image(at.seen, found.colors, at.wanted)
 
     def descend_there(index: int) -> tuple[SeenColors, NDArray[np.float32]]:
-        return descend(index, DeviceView(there.tensors, cameras[index], backend, antialiased=g.facts.antialiased))
+        seen = DeviceView(there.tensors, cameras[index], backend, antialiased=g.facts.antialiased)
+        return descend(index, look(seen))
 
-    def descend_here(index: int) -> tuple[SeenColors, NDArray[np.float32]]:
-        return descend(index, FixedView(drawn, cameras[index]))
+    def descend_here(index: int, ready: _Look | None) -> tuple[SeenColors, NDArray[np.float32]]:
+        return descend(index, ready or look(FixedView(drawn, cameras[index])))
 
     progress("learn", 0, config.steps)
-    for step in range(config.steps):
+    for step, ready in enumerate(in_order(look_ahead, range(config.steps), threads=1)):
         index = view_of_step(step, len(views), config.seed)
-        found, by_colors = work.run(partial(descend_there, index), partial(descend_here, index))
+        found, by_colors = work.run(partial(descend_there, index), partial(descend_here, index, ready))
         student.step(found, by_colors)
         progress("learn", step + 1, config.steps)
     return student.finish()
+
+
+class _Look(NamedTuple):
+    """A view to learn from.
+
+    Attributes:
+        seen: The view.
+        where: (M,) the Gaussians that it shows.
+        wanted: (M, 3) the colors that they should have; None where an image says it.
+    """
+
+    seen: FixedView | DeviceView
+    where: NDArray[np.int64]
+    wanted: NDArray[np.float32] | None
 
 
 def view_of_step(step: int, count: int, seed: int) -> int:

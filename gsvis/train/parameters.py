@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,6 +26,52 @@ NAMES = ("means", "log_scales", "quats", "logit_opacities", "sh0", "shN")
 _MOST_LOGIT = 16.0  # opacity 1 - 1e-7, the largest below 1 in float32
 _BETAS = (0.9, 0.999)
 _EPS = 1e-15
+
+
+@dataclass(frozen=True, eq=False)
+class _Active:
+    """Activated values of N Gaussians on the CPU; those of frozen rows are found once.
+
+    Attributes:
+        scales: (N, 3).
+        opacities: (N,).
+        frozen: Number of first rows that never change.
+    """
+
+    scales: Tensor
+    opacities: Tensor
+    frozen: int
+
+    @classmethod
+    def of(cls, log_scales: Tensor, logits: Tensor, frozen: int) -> _Active:
+        """Return the activated values of raw ones."""
+        with torch.no_grad():
+            return cls(log_scales.exp(), logits.sigmoid(), frozen)
+
+
+class _Activate(torch.autograd.Function):
+    """Activate the rows that are not frozen; only these get gradients."""
+
+    @staticmethod
+    def forward(ctx: Any, log_scales: Tensor, logits: Tensor, active: _Active) -> tuple[Tensor, Tensor]:
+        """Return scales and opacities, which share the memory of `active`."""
+        own = slice(active.frozen, None)
+        torch.exp(log_scales[own], out=active.scales[own])
+        torch.sigmoid(logits[own], out=active.opacities[own])
+        ctx.active = active
+        return active.scales.detach(), active.opacities.detach()
+
+    @staticmethod
+    def backward(ctx: Any, by_scales: Tensor, by_opacities: Tensor) -> tuple[Tensor, Tensor, None]:
+        """Return the gradients by the raw values; memory of frozen rows is never touched."""
+        active: _Active = ctx.active
+        own = slice(active.frozen, None)
+        by_log_scales = _zeros_of(active.scales)
+        by_log_scales[own] = by_scales[own] * active.scales[own]
+        by_logits = _zeros_of(active.opacities)
+        share = active.opacities[own]
+        by_logits[own] = by_opacities[own] * (1.0 - share) * share
+        return by_log_scales, by_logits, None
 
 
 @dataclass(eq=False, repr=False)
@@ -45,6 +92,7 @@ class Parameters:
     second: dict[str, Tensor]
     frozen: int = 0
     steps: int = 0
+    _active: _Active | None = field(default=None, init=False)
 
     @classmethod
     def from_gaussians(cls, gaussians: Gaussians, *, frozen: int = 0) -> Parameters:
@@ -65,18 +113,19 @@ class Parameters:
     def __len__(self) -> int:
         return len(self.values["means"])
 
-    def activate(self, rows: Tensor | None = None) -> GaussianTensors:
-        """Return activated tensors for a rasterizer; gradients flow back to the raw values.
+    def activate(self) -> GaussianTensors:
+        """Return activated tensors for a rasterizer; gradients flow back to the raw values that may change.
 
-        Args:
-            rows: Indices of the frozen rows to return, before all others; None for all, and for gradients by them.
+        The tensors hold until the next call.
         """
         v = self.values
-        if rows is not None:
-            stand = self.frozen
-            v = {name: torch.cat([t.detach()[:stand][rows], t[stand:]]) for name, t in v.items()}
-        scales = v["log_scales"].exp()
-        opacities = v["logit_opacities"].sigmoid()
+        if self.frozen == 0 or v["means"].device.type != "cpu":
+            scales = v["log_scales"].exp()
+            opacities = v["logit_opacities"].sigmoid()
+        else:
+            if self._active is None or len(self._active.opacities) != len(self):
+                self._active = _Active.of(v["log_scales"], v["logit_opacities"], self.frozen)
+            scales, opacities = _Activate.apply(v["log_scales"], v["logit_opacities"], self._active)  # type: ignore[no-untyped-call]
         return GaussianTensors(v["means"], v["quats"], scales, opacities, v["sh0"], v["shN"])
 
     def gaussians(self) -> Gaussians:
@@ -139,6 +188,7 @@ class Parameters:
         Raises:
             torch.OutOfMemoryError: If they do not fit. Some may lie there then; another call moves all.
         """
+        self._active = None
         for store in (self.values, self.first, self.second):
             store.update({name: each.detach().to(device) for name, each in store.items()})
         for value in self.values.values():

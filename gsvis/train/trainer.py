@@ -20,8 +20,10 @@ from numba import get_num_threads
 
 from gsvis import _check
 from gsvis.progress import Progress, silent
+from gsvis.render.cpu import Frozen, rasterize_cpu
 from gsvis.render.device import OnDevice, torch_device_of
 from gsvis.render.rasterizer import rasterize
+from gsvis.render.splats import View, check_no_skew
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash, sight_hash
 from gsvis.scene.gaussians import Gaussians
@@ -96,6 +98,7 @@ class Trainer:
             raise ValueError("views: expected at least one image to train on, got none")
         if len(start) == 0:
             raise ValueError("start: expected at least one Gaussian to begin with, got none")
+        check_no_skew(views.cameras)
         self.views = views
         self.held_out = held_out
         self.config = config
@@ -211,27 +214,14 @@ class Trainer:
         c = self.config
         index = self.view_of(self.step)
         camera = self.views.cameras[index]
-        near = self._frozen_in_sight(camera)
-        stand = self.parameters.frozen if near is None else len(near)
         lengths = None
         try:
-            drawn = rasterize(
-                self.parameters.activate(near),
-                camera,
-                backend=self.backend,
-                antialiased=self._facts.antialiased,
-                frozen=stand,
-            )
-            target = torch.from_numpy(self.views.image(index)).to(drawn.images)
-            loss = photometric_loss(drawn.images[0], target, c.ssim_weight)
+            image, centers = self._draw(camera)
+            target = torch.from_numpy(self.views.image(index)).to(image)
+            loss = photometric_loss(image, target, c.ssim_weight)
             loss.backward()  # type: ignore[no-untyped-call]
-            if self.densifier is not None and drawn.means2d.grad is not None:
-                by_center = drawn.means2d.grad[0]
-                if near is not None:
-                    by_center = by_center.new_zeros((len(self.parameters), 2))
-                    by_center[near] = drawn.means2d.grad[0, :stand]
-                    by_center[self.parameters.frozen :] = drawn.means2d.grad[0, stand:]
-                lengths = self.densifier.lengths(by_center, camera.width, camera.height)
+            if self.densifier is not None and centers is not None and centers.grad is not None:
+                lengths = self.densifier.lengths(centers.grad.reshape(-1, 2), camera.width, camera.height)
             self.parameters.adam_step(self.rates())  # from here on no memory is needed
         except torch.OutOfMemoryError:
             self.parameters.forget_gradients()
@@ -250,12 +240,25 @@ class Trainer:
         _LOG.info("step %d: loss %.4f, %d Gaussians, %.2f dB", now.step, now.loss, now.count, now.psnr)
         return now
 
-    def _frozen_in_sight(self, camera: Cameras) -> torch.Tensor | None:
-        """Return the indices of the frozen Gaussians that a camera may see; None for all."""
-        if self._sight is None:
-            return None
-        device = self.parameters.values["means"].device
-        return torch.from_numpy(np.flatnonzero(self._sight.of(camera))).to(device)
+    def _draw(self, camera: Cameras) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """Return the image (H, W, 3) of a camera, and zeros for the gradients by projected centers, if these count."""
+        tensors = self.parameters.activate()
+        stand = self.parameters.frozen
+        antialiased = self._facts.antialiased
+        if torch_device_of(self.backend) is not None or self.backend == "reference":
+            drawn = rasterize(tensors, camera, backend=self.backend, antialiased=antialiased, frozen=stand)
+            return drawn.images[0], drawn.means2d
+        centers = None if self.densifier is None else torch.zeros((len(tensors), 2), requires_grad=True)
+        image, *_ = rasterize_cpu(
+            tensors,
+            View.from_matrices(camera.viewmats[0], camera.Ks[0], camera.width, camera.height),
+            background=np.zeros(3, np.float32),
+            sh_degree=tensors.sh_degree,
+            antialiased=antialiased,
+            probe=centers,
+            frozen=Frozen(stand, None if self._sight is None else self._sight.of(camera)),
+        )
+        return image, centers
 
     def run(
         self,

@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 
 from gsvis.errors import BackendError
 from gsvis.render import GaussianTensors, Rendering, RenderingTensors, rasterize
+from gsvis.render.cpu import Frozen, rasterize_cpu
+from gsvis.render.splats import View
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import random_scene
@@ -297,3 +299,43 @@ def test_frozen_gaussians_gather_no_gradient_but_that_of_their_centers(
             if tensor.numel():
                 assert not tensor.grad[:frozen].any(), name
                 assert torch.allclose(tensor.grad[frozen:], vars(whole)[name].grad[frozen:], rtol=1e-5, atol=1e-6), name
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("frozen", [0, 150, 300])
+def test_gradients_do_not_depend_on_whether_those_of_centers_are_wanted(antialiased: bool, frozen: int) -> None:
+    g = random_scene(np.random.default_rng(7), 300, sh_degree=1)
+    one = Cameras.look_at([[0, 0, -5]], [0, 0, 0], up=(0, 1, 0), width=70, height=40)
+    view = View.from_matrices(one.viewmats[0], one.Ks[0], one.width, one.height)
+    found = []
+    for probe in (None, torch.zeros((len(g), 2), requires_grad=True)):
+        tensors = GaussianTensors.from_gaussians(g, requires_grad=True)
+        drawn = rasterize_cpu(
+            tensors,
+            view,
+            background=np.full(3, 0.3, np.float32),
+            sh_degree=1,
+            antialiased=antialiased,
+            probe=probe,
+            frozen=Frozen(frozen),
+        )
+        sum((part * torch.linspace(0.5, 1.5, part.numel()).reshape(part.shape)).sum() for part in drawn[:3]).backward()
+        found.append([value.grad for value in vars(tensors).values()])
+    for without, wanted in zip(*found, strict=True):
+        assert torch.equal(without, wanted)
+        assert not without[:frozen].any()
+    assert frozen == 300 or found[0][0].any()
+
+
+def test_frozen_gaussians_that_are_not_shown_are_not_there() -> None:
+    g = random_scene(np.random.default_rng(8), 200, sh_degree=1)
+    shown = np.arange(120) % 3 > 0
+    one = camera()
+    view = View.from_matrices(one.viewmats[0], one.Ks[0], one.width, one.height)
+    options = {"background": np.zeros(3, np.float32), "sh_degree": 1}
+    hidden, *_ = rasterize_cpu(GaussianTensors.from_gaussians(g), view, frozen=Frozen(120, shown), **options)
+    left = g[np.append(shown, np.ones(80, bool))]
+    without, *_ = rasterize_cpu(GaussianTensors.from_gaussians(left), view, **options)
+    everything, *_ = rasterize_cpu(GaussianTensors.from_gaussians(g), view, **options)
+    assert torch.equal(hidden, without)
+    assert not torch.equal(hidden, everything)

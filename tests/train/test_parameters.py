@@ -106,3 +106,26 @@ def test_a_higher_degree_begins_with_zeros() -> None:
     assert p.activate().sh_degree == 3
     p.raise_sh_degree(2)
     assert p.values["shN"].shape == (3, 15, 3)
+
+
+def test_what_is_frozen_is_activated_once_and_gets_no_gradient() -> None:
+    g = some_gaussians(9)
+    free = Parameters.from_gaussians(g)
+    held = Parameters.from_gaussians(g, frozen=4)
+    for turn in range(2):
+        for p in (free, held):
+            now = p.activate()
+            weights = torch.linspace(1.0, 2.0, len(p))
+            ((now.scales.sum(dim=1) + 3.0 * now.opacities) * weights).sum().backward()
+        for name in ("log_scales", "logit_opacities"):
+            gradients = [p.values[name].grad for p in (free, held)]
+            assert torch.equal(gradients[0][4:], gradients[1][4:])
+            assert not gradients[1][:4].any()
+            assert gradients[1][4:].all()
+        for p in (free, held):
+            p.forget_gradients()
+            if turn == 0:  # other rows, as many as before
+                p.keep(torch.tensor([0, 1, 2, 3, 6, 7, 8]))
+                p.append({name: value.detach()[:2] for name, value in p.values.items()})
+        for name, value in vars(free.activate()).items():
+            assert torch.equal(value, getattr(held.activate(), name))

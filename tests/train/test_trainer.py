@@ -247,9 +247,9 @@ def test_frozen_ones_out_of_sight_are_left_out_of_a_step(
     for trainer in (alone, *trainers):
         for _ in range(6):
             trainer.advance()
-    in_sight = trainers[1]._frozen_in_sight(views.cameras[0])
-    assert in_sight is not None
-    assert in_sight.max() < 30
+    sight = trainers[1]._sight
+    assert sight is not None
+    assert not sight.of(views.cameras[0])[30:].any()
     for trainer in trainers:
         for name, value in trainer.parameters.values.items():
             torch.testing.assert_close(value, alone.parameters.values[name], rtol=1e-4, atol=1e-5)

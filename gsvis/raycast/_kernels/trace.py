@@ -108,9 +108,7 @@ def count_until_spent(alphas, count, min_transmittance):
 
 
 @inner
-def trace_ray(
-    table, boxes, children, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near
-):
+def trace_ray(table, boxes, children, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near):
     """Find all hits of one ray, sorted and cut where transmittance is spent.
 
     `limits` is (min_alpha, max_alpha, min_transmittance). Returns the number of hits and the buffers. Full buffers are

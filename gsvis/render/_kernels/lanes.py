@@ -12,7 +12,7 @@ the end of the loop over rows, so what follows it must not depend on long comput
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from llvmlite import ir
 from numba import types
@@ -21,7 +21,7 @@ from numba.extending import intrinsic
 
 from gsvis._kernels.simd import Builder, Vector
 
-__all__ = ["CHANNELS", "LANES", "RECORD", "blend", "blend_backward", "find_reached_rows", "gather", "weigh"]
+__all__ = ["CHANNELS", "LANES", "RECORD", "blend", "blend_backward", "find_reached_rows", "gather", "take_out", "weigh"]
 
 LANES = 16
 CHANNELS = 8
@@ -284,6 +284,86 @@ def gather(typing_context, state, records, number, todo, lit, sums, pair):
     return signature, generate
 
 
+class _TakenOut(NamedTuple):
+    """One row of a Gaussian that is taken out of a tile, each pixel in a lane.
+
+    Attributes:
+        live: Mask of the pixels that blended it.
+        response: Alpha, before it is capped.
+        weight: Of the Gaussian.
+        front: Light in front of it.
+        opening: One over the share of light that it lets pass.
+        gradients: Of the loss by each channel.
+        shine: Gradient of the loss by the weight.
+        behind: Gradient-weighted light from behind.
+    """
+
+    live: Vector
+    response: Vector
+    weight: Vector
+    front: Vector
+    opening: Vector
+    gradients: list[Vector]
+    shine: Vector
+    behind: Vector
+
+
+def _take_out_of_row(
+    lanes: Builder, row: Any, record: _Record, place: Vector, pixels: tuple[Vector, Vector, Vector]
+) -> _TakenOut:
+    """Take a Gaussian out of a row, and store the light in front of it and what lies behind what is in front of it.
+
+    `pixels` is (p, seen, t) as `_each_row` gives them.
+    """
+    p, seen, t = pixels
+    response = p.exp2()
+    live = seen & place.compare("<", _load(lanes, row, STOP))
+    alpha = live.where(response.least(0.999), 0.0)
+    opening = lanes.constant(1.0) / (lanes.constant(1.0) - alpha)
+    front = t * opening
+    gradients = [_load(lanes, row, channel) for channel in (RED, GREEN, BLUE, DEPTH)]
+    shine = record[6] * gradients[0]
+    for k in range(1, 4):
+        shine = record[6 + k].times_plus(gradients[k], shine)
+    weight = alpha * front
+    behind = _load(lanes, row, MEDIAN)
+    _store(lanes, weight.times_plus(shine, behind), row, MEDIAN)
+    _store(lanes, front, row, T)
+    return _TakenOut(live, response, weight, front, opening, gradients, shine, behind)
+
+
+@intrinsic
+def take_out(typing_context, state, records, number, todo, place):
+    """Take one Gaussian that gets no gradients out of a tile, back to front; see `blend_backward`.
+
+    Args:
+        typing_context: numba's, unused.
+        state: (16, CHANNELS, 16) float32.
+        records: (K, 16) float32.
+        number: Which record.
+        todo: int64, rows to take it out of.
+        place: float32, place of the Gaussian in the tile's list.
+    """
+    del typing_context
+    signature = types.void(state, records, types.int64, types.int64, types.float32)
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        lanes = Builder(builder, LANES, "float32")
+        record = _Record(context, lanes, sig.args[1], args[1], args[2])
+        place = lanes.splat(args[4])
+
+        def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
+            """Emit the code for one row."""
+            _take_out_of_row(lanes, row, record, place, (p, seen, t))
+
+        _each_row(lanes, data, record, args[3], body)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
 @intrinsic
 def blend_backward(typing_context, state, records, number, todo, place, sums, pair):
     """Take one Gaussian out of a tile, back to front, and sum its gradients.
@@ -311,10 +391,9 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
-        data, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 5))
+        data, totals_at = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 5))
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
-        features = [record[6 + k] for k in range(4)]
         dx = record[10] - lanes.counting()
         center_y = record[11]
         place = lanes.splat(args[4])
@@ -327,21 +406,11 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
 
         def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
             """Emit the code for one row."""
-            response = p.exp2()
-            live = seen & place.compare("<", _load(lanes, row, STOP))
-            alpha = live.where(response.least(0.999), 0.0)
-            opening = lanes.constant(1.0) / (lanes.constant(1.0) - alpha)
-            front = t * opening
-            gradients = [_load(lanes, row, channel) for channel in (RED, GREEN, BLUE, DEPTH)]
-            shine = features[0] * gradients[0]
-            for value, gradient in zip(features[1:], gradients[1:], strict=True):
-                shine = value.times_plus(gradient, shine)
-            weight = alpha * front
-            behind = _load(lanes, row, MEDIAN)
-            by_alpha = front * shine - opening * behind
-            for k, gradient in enumerate(gradients):
-                add(k, weight, gradient)
-            q = (live & response.compare("<", 0.999)).where(by_alpha * response, 0.0)
+            out = _take_out_of_row(lanes, row, record, place, (p, seen, t))
+            by_alpha = out.front * out.shine - out.opening * out.behind
+            for k, gradient in enumerate(out.gradients):
+                add(k, out.weight, gradient)
+            q = (out.live & out.response.compare("<", 0.999)).where(by_alpha * out.response, 0.0)
             dy = center_y - y
             qx = q * dx
             qy = q * dy
@@ -351,12 +420,10 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
             add(7, qx, dx)
             add(8, qx, dy)
             add(9, qy, dy)
-            _store(lanes, weight.times_plus(shine, behind), row, MEDIAN)
-            _store(lanes, front, row, T)
 
         _each_row(lanes, data, record, args[3], body)
         totals = lanes.sums([Vector(lanes, builder.load(room)) for room in rooms])
-        lanes.store_first(totals, 12, out, builder.mul(args[6], _int(12)))
+        lanes.store_first(totals, 12, totals_at, builder.mul(args[6], _int(12)))
         return context.get_dummy_value()
 
     return signature, generate

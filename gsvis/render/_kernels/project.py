@@ -128,13 +128,15 @@ def _project_block(
     block, scene, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts, candidates, m, r
 ):
     """Project the Gaussians of one block; see `project`. `candidates` (2048,), m (2, 3) and r (3, 3) are buffers."""
-    means, quats, scales, opacities = scene
+    means, quats, scales, opacities, shown = scene
     fx, fy, cx, cy = intrinsics
     at = block * _BLOCK
     last = min(len(means), (block + 1) * _BLOCK)
     found = _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, at, last, candidates)
     for k in range(found):
         i = candidates[k]
+        if i < len(shown) and not shown[i]:
+            continue
         x, y, z, _, _ = _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r)
         xx, xy, yy, det = _covariance(m)
         full = det + DILATION * (xx + yy) + DILATION * DILATION
@@ -168,11 +170,11 @@ def _project_block(
 
 @in_threads(lambda *arguments: len(arguments[-1]))
 @kernel(fastmath=FUSED, error_model="numpy")
-def project(
-    taken, means, quats, scales, opacities, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts
-):
-    """Project all N Gaussians; block b keeps its visible ones at 2048 b, counts[b] of them."""
-    scene = means, quats, scales, opacities
+def project(taken, scene, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts):
+    """Project all N Gaussians; block b keeps its visible ones at 2048 b, counts[b] of them.
+
+    `scene` is means, quats, scales, opacities, and which of the first S Gaussians are drawn (S,); all others are.
+    """
     m = np.zeros((2, 3))
     r = np.empty((3, 3))
     block = take_next(taken)

@@ -12,7 +12,16 @@ from gsvis._kernels.compiled import inner, kernel, njit, uncounted
 from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.shared import share, take_next
 from gsvis._kernels.threads import in_parts, in_threads, on_numba_threads
-from gsvis.render._kernels.lanes import CHANNELS, LANES, RECORD, blend, blend_backward, find_reached_rows, weigh
+from gsvis.render._kernels.lanes import (
+    CHANNELS,
+    LANES,
+    RECORD,
+    blend,
+    blend_backward,
+    find_reached_rows,
+    take_out,
+    weigh,
+)
 
 TILE = LANES
 _LOG2_255 = 7.994353436858858
@@ -329,11 +338,13 @@ def blend_tiles_backward(
     background,
     forward,
     gradients,
+    still,
     out,
 ):
     """Write the gradient sums of every (tile, splat) pair into out (P, 12) float32; see `blend_backward`.
 
-    `forward` is (transmittance, depth, stop_at); `gradients` is by (image, alpha, depth).
+    `forward` is (transmittance, depth, stop_at); `gradients` is by (image, alpha, depth). Pairs of the first `still`
+    splats get none.
     """
     transmittance, depth, stop_at = forward
     v_image, v_alpha, v_depth = gradients
@@ -364,23 +375,29 @@ def blend_tiles_backward(
                 gates[r] = max(gates[r], stop_at[y, x])
         reached = int(min(np.float64(gates.max()), np.float64(total)))  # no pixel goes beyond
         for k in range(first + reached, first + total):
-            for e in range(10):
-                out[pair_of[k], e] = 0.0
+            if members[k] >= still:
+                for e in range(10):
+                    out[pair_of[k], e] = 0.0
         for stop in range(reached, 0, -BATCH):
             start = max(stop - BATCH, 0)
             prepare(splats, features, members, first, start, stop - start, left, top, gates, records, todo)
             for j in range(stop - start - 1, -1, -1):
-                pair = np.int64(pair_of[first + start + j])
-                blend_backward(state, records, j, todo[j], np.float32(start + j), out, pair)
+                at = np.float32(start + j)
+                if members[first + start + j] < still:
+                    take_out(state, records, j, todo[j], at)
+                else:
+                    blend_backward(state, records, j, todo[j], at, out, np.int64(pair_of[first + start + j]))
         tile = take_next(taken)
 
 
 @in_parts(lambda order, *_: len(order))
 @kernel(error_model="numpy")
-def sum_pairs(begin, end, order, first_pair, pairs, out):
-    """Sum the pairs of each splat, in the order of its tiles: out (M, 10) float64."""
+def sum_pairs(begin, end, order, first_pair, pairs, still, out):
+    """Sum the pairs of each splat but the first `still`, in the order of its tiles: out (M, 10) float64."""
     for k in range(begin, end):
         m = order[k]
+        if m < still:
+            continue
         for e in range(10):
             out[m, e] = 0.0
         for p in range(first_pair[k], first_pair[k + 1]):
