@@ -67,14 +67,15 @@ def find_lattices(means: NDArray[np.float32], *, runs: int = MOST_RUNS) -> Latti
     n = len(means)
     of = np.full(n, -1, np.int16)
     places = np.zeros((n, 3), np.int32)
-    logs = symlog(means)
+    logs: F64 | None = None  # takes longer than to find that there is no lattice
     rest = np.arange(n)
     found = list[tuple[F64, F64]]()
     while len(found) < _MOST and len(rest) >= _RUN:
-        lattice = _find_common(logs[rest], runs)
+        lattice = _find_common(means, rest, runs)
         if lattice is None:
             break
         offset, step = lattice
+        logs = symlog(means) if logs is None else logs
         along = (logs[rest] - offset) / step
         on = (np.abs(along - np.rint(along)) < _NEAR).all(axis=1) & (np.abs(along) < 1 << 30).all(axis=1)
         if on.sum() < max(_RUN, _SHARE * n):
@@ -88,10 +89,17 @@ def find_lattices(means: NDArray[np.float32], *, runs: int = MOST_RUNS) -> Latti
     return Lattices(offsets, steps, of, places)
 
 
-def _find_common(logs: F64, most: int) -> tuple[F64, F64] | None:
-    """Return offset (3,) and step (3,) of the lattice with most of `most` runs of logarithms (N, 3), or None."""
-    count = len(logs) // _RUN
-    runs = [slice(_RUN * k, _RUN * (k + 1)) for k in np.unique(np.linspace(0, count - 1, most).astype(int)).tolist()]
+def _find_common(means: NDArray[np.float32], ids: I64, most: int) -> tuple[F64, F64] | None:
+    """Return offset (3,) and step (3,) of the lattice with most of `most` runs of centers (N, 3); None if there is none.
+
+    Args:
+        means: (N, 3) centers.
+        ids: (M,) those that are looked at.
+        most: Number of runs.
+    """
+    heads = _RUN * np.unique(np.linspace(0, len(ids) // _RUN - 1, most).astype(int))
+    logs = symlog(means[ids[(heads[:, None] + np.arange(_RUN)).ravel()]])
+    runs = [slice(_RUN * k, _RUN * (k + 1)) for k in range(len(heads))]
     steps = np.array([[_find_step(np.sort(logs[run, axis])) for axis in range(3)] for run in runs])
     good = np.flatnonzero((steps > 0.0).all(axis=1))
     if len(good) == 0:

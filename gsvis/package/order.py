@@ -13,6 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis._sorting import stable_order
+from gsvis.package._kernels import records as kernels
 from gsvis.package.codec import chunk_starts
 from gsvis.package.lattice import MOST_RUNS, Lattices, find_lattices
 from gsvis.scene.gaussians import Gaussians
@@ -59,7 +61,8 @@ class PackageOrder:
         union = levels.union
         codes = morton_codes(union.means, *_curve_frame(union))
         keys = levels.first.astype(np.int64) * 16 + (15 - levels.last)
-        order = np.lexsort((codes, keys))
+        order = stable_order(codes)
+        order = order[_order_of_few(keys[order])]
         order = _sort_ties(union, codes, keys, order)
         lattices = find_lattices(union.means[order], runs=runs)
         order, lattices = _sort_by_lattice(order, keys[order], lattices)
@@ -71,8 +74,8 @@ class PackageOrder:
             cuts += [end for _, end in _split_parts(codes, low, high, _TOP)]
         plain = union.without_harmonics()[order]
         chunks = chunk_starts(plain, cuts=cuts[1:-1], finest=_small_scale(union), lattices=lattices)
-        inside = np.repeat(np.arange(len(chunks)), np.diff(np.append(chunks, len(order))))
-        inner = np.lexsort((-_coverages(plain), inside))
+        inner = np.empty(len(order), np.int64)
+        kernels.sort_chunks(chunks, _coverages(plain), inner)
         return cls(order[inner], np.array(cuts, np.int64), chunks, lattices[inner])
 
     def sort(self, levels: Levels) -> Levels:
@@ -138,9 +141,14 @@ def _sort_ties(g: Gaussians, codes: U64, keys: I64, order: I64) -> I64:
     return order
 
 
+def _order_of_few(keys: I64) -> I64:
+    """Return the stable order of keys (N,) from 0 to 65,535, which numpy sorts by their digits."""
+    return np.argsort(keys.astype(np.uint16), kind="stable")
+
+
 def _sort_by_lattice(order: I64, keys: I64, lattices: Lattices) -> tuple[I64, Lattices]:
     """Sort Gaussians of equal keys by their lattice; return the new order, and the lattices in it."""
-    places = np.lexsort((lattices.of, keys))
+    places = _order_of_few(keys * (len(lattices) + 1) + lattices.of + 1)
     return order[places], lattices[places]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from gsvis._kernels.compiled import kernel
 
-__all__ = ["chunk_starts", "decode", "encode", "put_places"]
+__all__ = ["chunk_starts", "decode", "encode", "put_places", "sort_chunks"]
 
 SQRT_HALF = 0.7071067811865476
 # range of log-scales in 1/64 octaves: normal numbers of float32
@@ -83,6 +83,21 @@ def chunk_starts(means, largest, steps, places, most, spread, starts):
             low[k] = min(low[k], means[i, k])
             high[k] = max(high[k], means[i, k])
     return count
+
+
+@kernel
+def sort_chunks(starts, values, order):
+    """Write the order (N,) int64 in which the largest value of each chunk comes first; equal ones stay in order.
+
+    Args:
+        starts: (C,) first Gaussian of each chunk.
+        values: (N,) finite.
+        order: (N,) int64, receives the order.
+    """
+    for c in range(len(starts)):
+        low = starts[c]
+        high = starts[c + 1] if c + 1 < len(starts) else len(values)
+        order[low:high] = low + np.argsort(-values[low:high], kind="mergesort")
 
 
 @kernel
