@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
+from gsvis.jobs.in_order import in_order
 from gsvis.render import rasterize, view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.core import Core, find_core
@@ -248,17 +249,20 @@ def _worth(scene: Gaussians, space: NavigableSpace, subject: _Subject, cameras: 
     The front of an object has no more Gaussians than its back, but more to look at.
     """
     distances = _pivot_distances(subject, space, cameras)
-    found = []
-    for c, eye in enumerate(cameras.viewpoints):
+    eyes = cameras.viewpoints
+
+    def worth(c: int) -> float:
+        """Return how much one view shows."""
         summed = view_weights(scene, cameras[c]).summed[0]
-        near = np.linalg.norm(scene.means - eye, axis=1) < _NEAR * distances[c]
+        near = np.linalg.norm(scene.means - eyes[c], axis=1) < _NEAR * distances[c]
         blocked = float(summed[near].sum() / max(float(summed.sum()), 1e-9))
         shown = float(np.count_nonzero(summed >= _SEEN) * summed.sum())  # nobody looks into the void
         if subject.is_object:
             brightness = rasterize(scene, cameras[c]).images[0].mean(axis=2)
             shown = sum(float(np.abs(np.diff(brightness, axis=axis)).sum()) for axis in (0, 1))
-        found.append(shown * max(0.0, 1.0 - _IN_THE_WAY * blocked))
-    return np.array(found)
+        return shown * max(0.0, 1.0 - _IN_THE_WAY * blocked)
+
+    return np.array(list(in_order(worth, range(len(cameras)))))
 
 
 def _standing(eyes: F64, space: NavigableSpace) -> F64:
