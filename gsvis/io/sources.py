@@ -25,6 +25,7 @@ BUILTIN = "builtin:"
 """What the name of a built-in scene starts with."""
 
 _TABLES = ("lod-meta.json", "meta.json")  # of a streamed SOG, of a SOG
+_INNER = (".compressed", ".splat", ".gltf")  # what may stand in front of the ending of a file
 _POOL = 4  # rows that are read for each Gaussian of a glance
 _UNIT = 1e-3  # by which the length of a stored unit vector may be off
 
@@ -181,8 +182,15 @@ def title_of(scene: str, lod: int | None = None) -> str:
         return scene.removeprefix(BUILTIN)
     resolved = Path(scene).resolve()
     inner = resolved.name in _TABLES or resolved.is_dir()
-    name = (resolved if resolved.is_dir() else resolved.parent).name if inner else resolved.name.split(".")[0]
+    name = (resolved if resolved.is_dir() else resolved.parent).name if inner else _stem_of(resolved.name)
     return as_line(name or resolved.name or "scene") + ("" if lod is None else f", LOD {lod}")
+
+
+def _stem_of(name: str) -> str:
+    """Return the name of a file without its ending, which may have a part in front: `.compressed.ply`, `.splat.gz`."""
+    stem = Path(name).stem
+    inner = Path(stem)
+    return inner.stem if inner.suffix.lower() in _INNER else stem
 
 
 def inputs_of(scene: str) -> list[Path]:
