@@ -11,15 +11,12 @@ import zlib
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["GAIN_STEPS", "MOST_EFFORT", "column", "compress", "differences", "quantize_gains"]
+__all__ = ["GAIN_STEPS", "column", "compress", "differences", "quantize_gains"]
 
 U8 = NDArray[np.uint8]
 
 GAIN_STEPS = 4
 """Steps of a gain for each doubling."""
-
-MOST_EFFORT = 9
-"""Largest effort of compression."""
 
 
 def differences(values: ArrayLike) -> NDArray[np.int64]:
@@ -35,14 +32,9 @@ def column(values: ArrayLike, width: int) -> bytes:
     return b"".join((whole >> 8 * k).astype(np.uint8).tobytes() for k in range(width))
 
 
-def compress(*parts: bytes, effort: int = MOST_EFFORT) -> bytes:
-    """Return the concatenated parts, compressed: a zlib stream, which browsers call "deflate".
-
-    Args:
-        parts: What to compress.
-        effort: Effort of zlib, 0 to 9; 0 stores the bytes as they are.
-    """
-    return zlib.compress(b"".join(parts), effort)
+def compress(*parts: bytes) -> bytes:
+    """Return the concatenated parts, compressed: a zlib stream, which browsers call "deflate"."""
+    return zlib.compress(b"".join(parts), 9)
 
 
 def quantize_gains(gains: NDArray[np.float64], top: int) -> U8:

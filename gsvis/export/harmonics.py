@@ -14,11 +14,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.export.columns import MOST_EFFORT, compress
+from gsvis.export.columns import compress
 from gsvis.io.quantize import distinct_rows, palette_of
 from gsvis.jobs.in_order import in_order
 
-__all__ = ["BLOCK", "LARGE_BLOCK", "Harmonics", "Palette", "label_bytes", "mean_squares"]
+__all__ = ["ZERO", "Harmonics", "Palette", "label_bytes"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -30,10 +30,7 @@ ZERO = 128
 """The byte that stands for 0."""
 
 BLOCK = 1024
-"""Sets in a file, unless `scene.json` states another number."""
-
-LARGE_BLOCK = 16384
-"""Sets in a file where each Gaussian has its own, and the page is on the same machine."""
+"""Sets in a file."""
 
 _SAMPLE = 1 << 16  # Gaussians from which the ends of coefficients are found
 _TAIL = 2e-4  # share of these that lie beyond the ends
@@ -98,27 +95,12 @@ class Palette:
         worth: (B,) what each block of sets is worth: the mean squared change of color over directions and
             channels, each Gaussian counted by its share of the light of all.
         error: Change of color by sharing, root mean square over Gaussians, directions and channels; 1 is white.
-        block: Sets in a block.
     """
 
     sets: U8
     labels: I64
     worth: F64
     error: float
-    block: int = BLOCK
-
-    @classmethod
-    def of_each(cls, sets: U8, lights: F64, squares: F64) -> Palette:
-        """Return a palette in which each of N Gaussians has its own set, in their order: none is sorted by its worth.
-
-        Args:
-            sets: (N, 3 K) bytes of coefficients, from `Harmonics.encode`.
-            lights: (N,) how much each Gaussian counts.
-            squares: (N,) `mean_squares` of the coefficients.
-        """
-        worth = lights / max(float(lights.sum()), 1e-300) * squares
-        starts = np.arange(0, len(sets), LARGE_BLOCK)
-        return cls(sets, np.arange(len(sets)), np.add.reduceat(worth, starts), 0.0, LARGE_BLOCK)
 
     @classmethod
     def from_scene(cls, coefficients: F32, lights: F64, ranges: Harmonics, most: int | None) -> Palette:
@@ -140,26 +122,26 @@ class Palette:
             centers, labels = palette_of(coefficients.reshape(n, -1), most)
             sets = ranges.encode(centers.reshape(len(centers), -1, 3))
             apart = ranges.decode(sets)[labels] - coefficients
-            error = float(np.sqrt(mean_squares(apart).mean()))
+            error = float(np.sqrt(_mean_squares(apart).mean()))
         shares = lights / max(float(lights.sum()), 1e-300)
-        worth = np.bincount(labels, shares * mean_squares(coefficients), minlength=len(sets))
+        worth = np.bincount(labels, shares * _mean_squares(coefficients), minlength=len(sets))
         order = np.argsort(-worth, kind="stable")
         if most is not None:
-            order = np.concatenate([some[_chain(sets[some])] for some in _in_blocks(order, BLOCK)])
+            order = np.concatenate([some[_chain(sets[some])] for some in _in_blocks(order)])
         place = np.empty(len(sets), np.int64)
         place[order] = np.arange(len(sets))
-        blocks = np.array([worth[some].sum() for some in _in_blocks(order, BLOCK)])
+        blocks = np.array([worth[some].sum() for some in _in_blocks(order)])
         return cls(sets[order], place[labels], blocks, error)
 
-    def blocks(self, effort: int = MOST_EFFORT) -> list[bytes]:
+    def blocks(self) -> list[bytes]:
         """Return the file of each block: each byte less that of the set before it, byte after byte, compressed."""
 
         def encode(block: U8) -> bytes:
             """Return the file of a block."""
             apart = np.diff(block, axis=0, prepend=np.uint8(ZERO))
-            return compress(np.ascontiguousarray(apart.T).tobytes(), effort=effort)
+            return compress(np.ascontiguousarray(apart.T).tobytes())
 
-        return list(in_order(encode, _in_blocks(self.sets, self.block)))
+        return list(in_order(encode, _in_blocks(self.sets)))
 
 
 def label_bytes(sets: int) -> int:
@@ -167,9 +149,9 @@ def label_bytes(sets: int) -> int:
     return max(1, ((sets - 1).bit_length() + 7) // 8)
 
 
-def _in_blocks(values: NDArray[Number], size: int) -> list[NDArray[Number]]:
-    """Return the parts of (E, ...) values that belong to each block of so many."""
-    return [values[start : start + size] for start in range(0, len(values), size)]
+def _in_blocks(values: NDArray[Number]) -> list[NDArray[Number]]:
+    """Return the parts of (E, ...) values that belong to each block."""
+    return [values[start : start + BLOCK] for start in range(0, len(values), BLOCK)]
 
 
 def _chain(sets: U8) -> I64:
@@ -186,7 +168,7 @@ def _chain(sets: U8) -> I64:
     return order
 
 
-def mean_squares(coefficients: F32) -> F64:
+def _mean_squares(coefficients: F32) -> F64:
     """Return (N,) the mean squared color of coefficients (N, K, 3), over directions and channels."""
     squared = np.einsum("nkc,nkc->n", coefficients, coefficients, dtype=np.float64)
     return np.asarray(squared / (3.0 * 4.0 * np.pi))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.export.columns import MOST_EFFORT, column, compress, differences
+from gsvis.export.columns import column, compress, differences
 from gsvis.jobs.in_order import in_order
 from gsvis.package.codec import packed_bits
 from gsvis.package.contents import Contents
@@ -65,14 +65,12 @@ class PieceCoder:
         coding: The code of its records.
         labels: (N,) the set of higher coefficients of each Gaussian of a bare scene; None elsewhere.
         label_bytes: Bytes that name a set.
-        effort: Effort of compression, 0 to 9.
     """
 
     contents: Contents
     coding: Coding
     labels: I64 | None = None
     label_bytes: int = 0
-    effort: int = MOST_EFFORT
 
     def encode(self, ids: I64, terms: I64 | None = None, known: NDArray[np.bool_] | None = None) -> bytes:
         """Return a piece.
@@ -91,7 +89,7 @@ class PieceCoder:
         columns += [column(differences(owners), 4), column(self._skips(some, owners), 1)]
         if self.labels is not None:
             columns.append(column(self.labels[ids], self.label_bytes))
-        head = compress(*columns, effort=self.effort)
+        head = compress(*columns)
         records = self.coding.encode_some(self._fields, ids.astype(np.int32), of, self._chunks).tobytes()
         rows = self.contents.term_records[some]
         coded = self.coding.encode_terms(rows, owners.astype(np.int32)).tobytes()

@@ -11,9 +11,9 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis.color.records import Grids
 from gsvis.errors import FormatError
 from gsvis.export.bare import BareScene, encode_scene
 from gsvis.export.columns import compress
 from gsvis.export.first import FirstViews
 from gsvis.export.glances import Glances, glance_bytes
-from gsvis.export.harmonics import BLOCK, Palette, label_bytes
+from gsvis.export.harmonics import Palette, label_bytes
 from gsvis.export.index import Spheres, index_of
 from gsvis.export.lights import Lights, areas_of
 from gsvis.export.near import encode_near
@@ -40,6 +41,7 @@ from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.fields import parse_json
 from gsvis.files.limits import digest_of, read_whole
 from gsvis.io.sog_writer import report_palette_loss
+from gsvis.jobs.in_order import in_order
 from gsvis.package.layout import RECORD_BYTES, TermLayout
 from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
@@ -64,13 +66,14 @@ __all__ = [
 ]
 
 I64 = NDArray[np.int64]
+Data = bytes | memoryview
 
 FORMAT = "gsvis-static"
 VERSION = 8
 SCENE = "scene.json"
 FILES = ("index", "grid", "facts", "walk")
 """Files of a scene besides `scene.json`."""
-FAMILIES = ("row", "part", "terms", "first", "glance", "sets")
+FAMILIES = ("row", "part", "plain", "terms", "first", "glance", "sets")
 """Kinds of files that are numbered."""
 
 _BEFORE = ("cells", "records", "blocks", "harmonics", "replaced")  # files of versions 2 and 3
@@ -114,8 +117,8 @@ class StaticOptions:
             for none. Of a small scene they may have as many as the parts, up to 1 MiB.
         most_sets: Most sets of higher SH coefficients that the Gaussians of a bare scene share; None gives each its
             own, which is exact to the byte, takes no time, and many times the bytes.
-        is_near: Whether pages read it on this machine: a bare scene is then written as few large files that are not
-            compressed, and `most_sets` is not asked, which saves most of the time of both.
+        is_near: Whether pages read it on this machine: a bare scene is then written as the arrays that a page gives to
+            the GPU, in few large files, and `most_sets` is not asked, which saves most of the time of both.
 
     Raises:
         ValueError: If a number is out of its range.
@@ -204,15 +207,15 @@ def write_static(
         content = _bare_content(target, scene, said, progress)
     target.mkdir(parents=True, exist_ok=True)
     remove_all_partials(target)
-    counts = np.array([len(part) for part in content.parts])
-    of_parts = np.array([len(data) for data in content.families["part"]])
+    counts = content.counts
+    of_parts = np.array([len(data) for data in content.families[content.kind]])
     of_terms = np.array([len(data) for data in content.families.get("terms", [b""] * len(counts))])
-    contents = {
+    contents: dict[str, Data] = {
         "index": index_of(content.spheres, counts, of_parts, of_terms),
         "grid": content.cells.index(),
         **content.files,
     }
-    families = {"row": list(content.cells.rows), **content.families}
+    families: dict[str, Sequence[Data]] = {"row": content.cells.rows, **content.families}
     files = {}
     progress("export", 0, len(contents) + len(families))
     for kind, data in contents.items():
@@ -276,8 +279,8 @@ class _Content:
     """The content of a static scene before it is written.
 
     Attributes:
-        coder: Its records, with the ids of the static form.
-        parts: Ids of the Gaussians of each part.
+        records: What `scene.json` says of the records.
+        counts: (P,) Gaussians of each part.
         cells: Rows of cells.
         files: Content of each file that is alone.
         families: Contents of files of one kind, which are numbered.
@@ -286,14 +289,19 @@ class _Content:
         glances: What `scene.json` says of glances; None without any.
     """
 
-    coder: PieceCoder
-    parts: list[I64]
+    records: dict[str, Any]
+    counts: I64
     cells: CellRows
     files: dict[str, bytes]
-    families: dict[str, list[bytes]]
+    families: dict[str, Sequence[Data]]
     spheres: Spheres
     info: _Info
     glances: dict[str, Any] | None = None
+
+    @property
+    def kind(self) -> str:
+        """The kind of the files of parts."""
+        return "plain" if "plain" in self.families else "part"
 
 
 @dataclass(frozen=True)
@@ -325,7 +333,7 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
     grid = None if lights is None else lights.grid
     poses = options.poses or views or start_poses(g.bounds(0.9), grid, options.up or info.up)
     known = _Info(None, info.up, info.meters_per_unit, poses)
-    pieces = {"part": [coder.encode(placing.of_part(k)) for k in range(len(parts))]}
+    pieces: dict[str, Sequence[Data]] = {"part": [coder.encode(placing.of_part(k)) for k in range(len(parts))]}
     spheres = Spheres.from_parts(parts, g.means, gains)
     if len(placed.term_records):
         pieces["terms"] = [coder.encode_terms(placing.of_part(k)) for k in range(len(parts))]
@@ -350,7 +358,8 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
         pieces["first"] = [first.encode(pose, max(share, options.most_first)) for pose in known.first]
         if looks is not None:
             pieces["glance"] = list(cells.glances)
-    return _Content(coder, parts, cells, files, pieces, spheres, known, None if looks is None else looks.as_dict())
+    said = None if looks is None else looks.as_dict()
+    return _Content(_said_of(coder), _counts_of(parts), cells, files, pieces, spheres, known, said)
 
 
 def _bytes_for_glances(options: StaticOptions, of_parts: int) -> int:
@@ -396,12 +405,12 @@ def _bare_content(target: Path, scene: Levels | Gaussians, options: StaticOption
     coder = PieceCoder(placed, Coding.from_contents(placed), labels, width)
     progress("order", 1, 1)
     cells = rows_of_scene(gains, placing.part_of)
-    pieces = {"part": coder.encode_all(placing.of_part(k) for k in range(len(parts)))}
+    pieces: dict[str, Sequence[Data]] = {"part": coder.encode_all(placing.of_part(k) for k in range(len(parts)))}
     if found.palette is not None:
         pieces["sets"] = found.palette.blocks()
-    info = _bare_info(found, pieces, options, g)
+    info = _bare_info(_harmonics_of(found, pieces.get("sets", [])), options, g)
     spheres = Spheres.from_parts(parts, g.means, gains)
-    return _Content(coder, parts, cells, _bare_files(g, options), pieces, spheres, info)
+    return _Content(_said_of(coder), _counts_of(parts), cells, _bare_files(g, options), pieces, spheres, info)
 
 
 def _near_content(scene: Levels | Gaussians, options: StaticOptions, progress: Progress) -> _Content:
@@ -409,27 +418,52 @@ def _near_content(scene: Levels | Gaussians, options: StaticOptions, progress: P
     progress("order", 0, 1)
     g = scene.level(len(scene) - 1) if isinstance(scene, Levels) else scene
     found = encode_near(g)
-    contents = found.scene.contents
-    palette = found.scene.palette
-    parts = [np.arange(low, high) for low, high in pairwise(contents.starts.tolist())]
-    labels = None if palette is None else palette.labels
-    width = 0 if palette is None else label_bytes(len(palette.sets))
-    coder = PieceCoder(contents, Coding.from_contents(contents), labels, width, effort=0)
     progress("order", 1, 1)
-    cells = rows_of_scene(found.lights, np.repeat(np.arange(len(parts)), [len(part) for part in parts]))
-    pieces = {"part": coder.encode_all(parts)}
-    if palette is not None:
-        pieces["sets"] = palette.blocks(effort=0)
-    info = _bare_info(found.scene, pieces, options, g)
-    spheres = Spheres.from_parts(parts, found.means, found.lights)
-    return _Content(coder, parts, cells, _bare_files(g, options), pieces, spheres, info)
+    said = _said_of_records(found.grids, len(g), found.chunks, 0, None)
+    if g.facts.antialiased:
+        said["antialiased"] = True
+    harmonics = None if found.ranges is None else {**found.ranges.as_dict(), "sets": len(g)}
+    info = _bare_info(harmonics, options, g)
+    cells = rows_of_scene(found.lights, np.arange(len(found.counts)))
+    plain: dict[str, Sequence[Data]] = {"plain": found.parts}
+    return _Content(said, found.counts, cells, _bare_files(g, options), plain, found.spheres, info)
 
 
-def _bare_info(scene: BareScene, pieces: dict[str, list[bytes]], options: StaticOptions, g: Gaussians) -> _Info:
+def _counts_of(parts: list[I64]) -> I64:
+    """Return (P,) the number of ids in each part."""
+    return np.array([len(part) for part in parts])
+
+
+def _said_of(coder: PieceCoder) -> dict[str, Any]:
+    """Return what `scene.json` says of coded records."""
+    contents = coder.contents
+    code = coder.coding.tables.to_text()
+    found = _said_of_records(contents.grids, len(contents), len(contents.table), len(contents.term_records), code)
+    found["levels"][0]["name"] = contents.names[-1]
+    return found | ({"antialiased": True} if contents.facts.antialiased else {})
+
+
+def _said_of_records(grids: Grids, count: int, chunks: int, terms: int, code: str | None) -> dict[str, Any]:
+    """Return what `scene.json` says of `count` records; `code` is None where they are not coded."""
+    layout = TermLayout.from_grids(grids)
+    return {
+        "gaussians": count,
+        "terms": terms,
+        "chunks": chunks,
+        "code": code,
+        "steps": None,
+        "levels": [{"name": "high", "count": count}],
+        "record_bytes": RECORD_BYTES,
+        "term_bits": int(layout.widths.sum()),
+        "term_bytes": layout.nbytes,
+        "colors": asdict(grids),
+    }
+
+
+def _bare_info(harmonics: dict[str, Any] | None, options: StaticOptions, g: Gaussians) -> _Info:
     """Return facts about a bare scene, whose Gaussians are `g`."""
-    ranges = _harmonics_of(scene, pieces.get("sets", []))
     poses = options.poses or start_poses(g.bounds(0.9), None, options.up or (0.0, 0.0, 1.0))
-    return _Info(ranges, poses=poses)
+    return _Info(harmonics, poses=poses)
 
 
 def _bare_files(g: Gaussians, options: StaticOptions) -> dict[str, bytes]:
@@ -446,20 +480,18 @@ def _labels_of(palette: Palette | None, placing: Placing) -> tuple[I64 | None, i
     return palette.labels[placing.order], label_bytes(len(palette.sets))
 
 
-def _harmonics_of(scene: BareScene, blocks: list[bytes]) -> dict[str, Any] | None:
+def _harmonics_of(scene: BareScene, blocks: Sequence[Data]) -> dict[str, Any] | None:
     """Return what `scene.json` says of higher coefficients; None in degree 0."""
     if scene.ranges is None or scene.palette is None:
         return None
     worth = [float(f"{value:.4g}") for value in scene.palette.worth.tolist()]
     palette = {"sets": len(scene.palette.sets), "bytes": [len(block) for block in blocks], "worth": worth}
-    if scene.palette.block != BLOCK:
-        palette["block"] = scene.palette.block
     return scene.ranges.as_dict() | palette
 
 
-def _keep(folder: Path, kind: str, contents: list[bytes], numbered: bool) -> StaticFile:
+def _keep(folder: Path, kind: str, contents: Sequence[Data], numbered: bool) -> StaticFile:
     """Write the data files of a kind atomically, unless they exist; their names contain the hash of all of them."""
-    hashes = [hashlib.sha256(data) for data in contents]
+    hashes = list(in_order(hashlib.sha256, contents))
     digest = hashes[0].hexdigest() if not numbered else hashlib.sha256(b"".join(h.digest() for h in hashes)).hexdigest()
     stem = f"{kind}-{digest[:16]}"
     names = tuple(f"{stem}-{k}.bin" if numbered else f"{stem}.bin" for k in range(len(contents)))
@@ -484,31 +516,18 @@ def remove_other_files(scene: StaticScene) -> None:
 
 def _document(content: _Content, files: dict[str, StaticFile], options: StaticOptions) -> dict[str, Any]:
     """Return the content of `scene.json`."""
-    contents = content.coder.contents
     info = content.info
-    layout = TermLayout.from_grids(contents.grids)
     grid = content.cells.grid
     named = [files[kind].sha256 for kind in sorted(files)]
-    spelled = json.dumps([named, asdict(contents.grids), info.harmonics], sort_keys=True)
-    drawn = {"antialiased": True} if contents.facts.antialiased else {}
+    spelled = json.dumps([named, content.records["colors"], info.harmonics], sort_keys=True)
     firsts = content.families.get("first", [])
     return {
         "format": FORMAT,
         "version": VERSION,
-        **drawn,
+        **content.records,
         "name": options.name,
-        "gaussians": len(contents),
-        "terms": len(contents.term_records),
-        "chunks": len(contents.table),
-        "parts": len(content.parts),
+        "parts": len(content.counts),
         "places": content.spheres.as_dict(),
-        "code": content.coder.coding.tables.to_text(),
-        "steps": None,
-        "levels": [{"name": contents.names[-1], "count": len(contents)}],
-        "record_bytes": RECORD_BYTES,
-        "term_bits": int(layout.widths.sum()),
-        "term_bytes": layout.nbytes,
-        "colors": asdict(contents.grids),
         "harmonics": info.harmonics,
         "up": [float(v) for v in (info.up if options.up is None else options.up)],
         "meters_per_unit": info.meters_per_unit if options.meters_per_unit is None else options.meters_per_unit,

@@ -56,6 +56,7 @@ export interface Header {
   antialiased: boolean; // the scene was trained with the opacities of antialiased splatting
   identity: string;
   code: Code | null; // of a stream
+  plain?: boolean; // from this machine: all Gaussians come, and harmonics as whole texels with upper bits turned
 }
 
 /**
@@ -68,7 +69,7 @@ export interface Batch {
   ids: Uint32Array; // (G)
   records: Uint32Array; // (4 G), 16 bytes of the wire each
   rows: Uint32Array; // (G), the row of each Gaussian's chunk
-  means: Float32Array; // (3 G)
+  means: Float32Array; // (3 G); none of parts from this machine
   firstRow: number;
   chunks: Float32Array; // (8 C): origin xyz, low, step xyz, stride; steps < 0: logarithmic
   boxes: Float32Array; // (6 C): low and high corner of each chunk
@@ -127,7 +128,7 @@ export interface Traffic {
 export interface SourceEvents {
   header(header: Header, fresh: boolean): void; // fresh: drop everything drawn so far
   batch(batch: Batch): void;
-  sets?(first: number, sets: Uint8Array): void; // of harmonics, 3 K bytes each: K coefficients of R, G, B
+  sets?(first: number, sets: Uint8Array): void; // of harmonics, 3 K bytes each: K coefficients of R, G, B; see `plain`
   state(state: SourceState): void;
   traffic(traffic: Traffic): void;
 }
@@ -276,6 +277,8 @@ export declare class UnsupportedError extends Error {
 export declare class Viewer extends EventTarget {
     #private;
     readonly canvas: HTMLCanvasElement;
+    /** Whether nothing is drawn until all of the scene is here: something else is shown meanwhile. */
+    patient: boolean;
     /** Draw on a canvas. Throws `UnsupportedError` where there is no WebGL2. */
     constructor(canvas: HTMLCanvasElement, options?: ViewerOptions);
     /** Show what a source gives, instead of what was shown. */
@@ -357,7 +360,7 @@ export interface Statistics {
   terms: number;
   dropped: number; // did not fit into memory
   gpuBytes: number;
-  firstImageSeconds: number | null; // from `open` to the first Gaussians on the canvas
+  firstImageSeconds: number | null; // from `open` until the GPU has drawn the first Gaussians
   precision: Precision;
   state: SourceState;
   bytes: number;
@@ -379,6 +382,7 @@ export interface ViewerOptions {
   budget?: number; // most Gaussians in a picture; all by default
   memory?: number; // bytes on the GPU
   sortWorker?: WorkerStart;
+  patient?: boolean; // see `Viewer.patient`
 }
 
 /** What is used of WebXR; browsers' own objects fit. */

@@ -76,12 +76,18 @@ class Reader:
         self.centers = np.array(said["middle"]) + said["scale"] * np.sinh(places / 64)
         self.radii = said["scale"] * 2.0 ** ((columns.next(1) - 128) / 4)
         self.counts = columns.next(4)
-        assert columns.next(4).tolist() == [len(data) for data in self.data["part"]]
+        self.is_plain = "plain" in self.data
+        parts = self.data["plain" if self.is_plain else "part"]
+        assert columns.next(4).tolist() == [len(data) for data in parts]
         assert columns.next(4).tolist() == [len(data) for data in self.data.get("terms", [b""] * len(self.counts))]
         assert columns.at == len(columns.data)
-        self.sets = self.read_sets()
         self.chunks: dict[int, tuple[Any, ...]] = {}  # rows by the first id
-        self.pieces = [self.piece(data) for data in self.data["part"]]
+        if self.is_plain:
+            self.pieces = [self.plain(data) for data in parts]
+            self.sets = np.concatenate([piece["sets"] for piece in self.pieces])
+        else:
+            self.sets = self.read_sets()
+            self.pieces = [self.piece(data) for data in parts]
 
     @cached_property
     def coding(self) -> Coding:
@@ -89,6 +95,26 @@ class Reader:
         said = parse_object("scene.json", json.dumps(self.scene["colors"]).encode())
         grids = grids_of(said, self.scene["colors"]["variant"])
         return Coding(grids, None, Tables.from_text(self.scene["code"], table_sizes(grids)))
+
+    def plain(self, data: bytes) -> dict[str, Any]:
+        """What a part holds that is not coded."""
+        first, g, c, width = struct.unpack_from("<4I", data)
+        assert len(data) == 16 + 36 * c + (16 + width) * g
+        floats = np.frombuffer(data, "<f4", 8 * c, 16).reshape(c, 8)
+        sizes = np.frombuffer(data, "<u4", c, 16 + 32 * c)
+        of = np.repeat(np.arange(c, dtype=np.int32), sizes & 0xFFFF)
+        bits = unpack_bits(sizes >> 16, 14)
+        table = table_of([(row[:3], row[4:7], int(row[3]), int(row[7]), bits[k]) for k, row in enumerate(floats)])
+        records = np.frombuffer(data, np.uint8, 16 * g, 16 + 36 * c).reshape(g, 16)
+        sets = np.frombuffer(data, np.uint8, width * g, 16 + 36 * c + 16 * g).reshape(g, width) ^ 128
+        said = self.scene["harmonics"]
+        used = 0 if said is None else 3 * ((said["degree"] + 1) ** 2 - 1)
+        assert (sets[:, used:] == 128).all()
+        assert width == -(-used // 16) * 16
+        layout = RecordLayout.from_variant(self.scene["colors"]["variant"])
+        ids = first + np.arange(g)
+        means = decode_records(records, table, layout, chunks=of).means
+        return {"ids": ids, "records": records, "means": means, "labels": ids, "sets": sets[:, :used]}
 
     def piece(self, data: bytes) -> dict[str, Any]:
         """What a piece holds; the rows of its chunks are kept."""
@@ -136,7 +162,7 @@ class Reader:
         apart = [np.frombuffer(zlib.decompress(data), np.uint8).reshape(width, -1).T for data in self.data["sets"]]
         blocks = [(128 + np.cumsum(each, axis=0, dtype=int)).astype(np.uint8) for each in apart]
         assert [len(data) for data in self.data["sets"]] == said["bytes"]
-        assert all(len(block) == said.get("block", 1024) for block in blocks[:-1])
+        assert all(len(block) == 1024 for block in blocks[:-1])
         found = np.concatenate(blocks)
         assert len(found) == said["sets"]
         assert len(blocks) == len(said["worth"])

@@ -15,9 +15,11 @@ import type { Report } from "../src/core/worker-source.ts";
 import { HeldParts, HttpParts } from "../src/core/static-parts.ts";
 import { type Choice, choose, frustum, HELD, type Holdings, insideOf, NONE, sphereOf, worthOf } from "../src/core/static-plan.ts";
 import { Cells, readRow } from "../src/core/static-cells.ts";
+import { PlainArrivals } from "../src/core/static-plain.ts";
 import { parseScene, type StaticScene } from "../src/core/static-scene.ts";
 import type { SetBlocks } from "../src/core/static-sets.ts";
 import { baseOf } from "../src/core/static-source.ts";
+import { decodeMean, recordLayout } from "../src/core/tables.ts";
 import { type Clock, REAL_TIME } from "../src/core/traffic.ts";
 import type { Batch, Pose, SourceState, Traffic, View } from "../src/core/types.ts";
 import { FakeClock } from "./fakes.ts";
@@ -78,6 +80,7 @@ class Client {
   readonly batches: Batch[] = [];
   readonly states: SourceState[] = [];
   headers = 0;
+  private width = SET; // bytes of a set as it comes
   readonly traffic: Traffic[] = [];
   readonly sets: string[] = []; // of harmonics, in hexadecimal digits
   private listeners: (() => void)[] = [];
@@ -94,15 +97,16 @@ class Client {
   private take(report: Report): void {
     if (report.kind === "batch") this.batches.push(report.batch);
     else if (report.kind === "state") this.states.push(report.state);
-    else if (report.kind === "header") this.headers++;
+    else if (report.kind === "header") [this.headers, this.width] = [this.headers + 1, report.header.plain ? 32 : SET];
     else if (report.kind === "sets") this.keep(report.first, report.sets);
     else this.traffic.push(report.traffic);
     for (const listener of this.listeners) listener();
   }
 
   private keep(first: number, sets: Uint8Array): void {
-    for (let k = 0; k < sets.length / SET; k++) {
-      this.sets[first + k] = Buffer.from(sets.subarray(SET * k, SET * (k + 1))).toString("hex");
+    for (let k = 0; k < sets.length / this.width; k++) {
+      const set = sets.slice(this.width * k, this.width * k + SET);
+      this.sets[first + k] = Buffer.from(this.width === SET ? set : set.map((value) => value ^ 128)).toString("hex");
     }
   }
 
@@ -354,14 +358,41 @@ test("a bare scene has one cell with everything, and harmonics beside its record
   assert.equal(client.ids.length, 150);
 });
 
-test("a bare scene that is written for pages nearby says how many sets are in a block", async (t) => {
+test("a bare scene that is written for pages nearby comes as arrays", async (t) => {
   const { url } = await serve(t, filesOf(VECTOR.near));
   const client = new Client(t, url);
   client.look([0, 0, -3]);
   await client.host.start();
   await client.until(() => client.complete());
-  check(VECTOR.near, client.batches, client.sets);
+  check(VECTOR.near, client.batches.map(withMeans), client.sets);
   assert.equal(client.ids.length, 150);
+});
+
+/** Return a batch with the centers of its Gaussians, which pages nearby find on the GPU alone. */
+function withMeans(batch: Batch): Batch {
+  const means = new Float32Array(3 * batch.ids.length), layout = recordLayout("rgb");
+  assert.equal(batch.means.length, 0);
+  batch.ids.forEach((_, i) => decodeMean(batch.records, i, batch.chunks, batch.rows[i] - batch.firstRow, layout, means));
+  return { ...batch, means };
+}
+
+test("a part for pages nearby that contradicts itself is refused", async () => {
+  const { said, file } = await open(VECTOR.near), whole = file("plain", 0), chunks = new DataView(whole.buffer).getUint32(8, true);
+  const refuses = (change: (view: DataView) => void, length = whole.length): void => {
+    const data = whole.slice(0, length);
+    change(new DataView(data.buffer));
+    assert.throws(() => new PlainArrivals(said.header).add(data, "part 0"), /part 0: damaged; export the scene again$/);
+  };
+  assert.equal(new PlainArrivals(said.header).add(whole.slice(), "part 0").harmonics?.sets.length! % 32, 0);
+  refuses(() => undefined, 12);
+  refuses(() => undefined, whole.length - 4);
+  for (const at of [0, 4, 8, 12]) refuses((view) => view.setUint32(at, 1e6, true)); // id, counts, bytes of a set
+  refuses((view) => view.setFloat32(16, NaN, true)); // an origin
+  refuses((view) => view.setFloat32(16 + 28, 0, true)); // a stride
+  refuses((view) => view.setUint32(16 + 32 * chunks, 0, true)); // Gaussians of a chunk
+  refuses((view) => view.setUint32(16 + 32 * chunks, 300, true));
+  const twice = new PlainArrivals(said.header);
+  assert.throws(() => { for (let k = 0; k < 99; k++) twice.add(whole.slice(), "part 0"); }, /damaged/); // too many chunks
 });
 
 test("a page that holds its files reads them without a server", async (t) => {
@@ -541,7 +572,7 @@ test("the plan takes what has most light in view for its bytes and its delay", a
     part: new Uint8Array(index.count), terms: new Uint8Array(index.count), sets: new Uint8Array(0),
     glance: new Uint8Array(0), left: new Float32Array(index.count).fill(1),
   });
-  const pick = (has: Holdings, delay: number, blocks: SetBlocks = { size: 1024, bytes: [], worth: [] }): Choice | null =>
+  const pick = (has: Holdings, delay: number, blocks: SetBlocks = { bytes: [], worth: [] }): Choice | null =>
     choose(index, worth, row.terms, has, delay, blocks);
   for (let p = 0; p < index.count; p++) {
     if (row.gains[p] === 0) continue;
@@ -566,7 +597,7 @@ test("the plan takes what has most light in view for its bytes and its delay", a
   all.terms.fill(HELD);
   assert.equal(pick(all, 0), null);
   all.sets = Uint8Array.of(HELD, NONE, NONE);
-  assert.deepEqual(pick(all, 0, { size: 1024, bytes: [9, 9, 9], worth: [1, 0.1, 0.01] }), { kind: "sets", number: 1 });
+  assert.deepEqual(pick(all, 0, { bytes: [9, 9, 9], worth: [1, 0.1, 0.01] }), { kind: "sets", number: 1 });
   all.sets.fill(HELD);
   all.part[2] = NONE;
   worth.fill(0);

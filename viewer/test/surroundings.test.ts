@@ -317,12 +317,12 @@ const listed = (row: object): object => ({ scenes: [{ name: "hall", stream: null
 test("a scene that is being prepared is asked for until it streams, also after silence", async (t) => {
   const waits: number[] = [], preparing = listed({ static: "scenes/hall/", preparing: true });
   const asked = answer(
-    t, preparing, null, 503, null, { nonsense: 1 }, null, null, preparing, listed({ stream: "stream/hall" }),
+    t, preparing, null, 503, null, { nonsense: 1 }, null, null, null, null, preparing, listed({ stream: "stream/hall" }),
   );
   const found = await awaitMore(SCENE, () => true, null, async (milliseconds) => void waits.push(milliseconds));
   assert.deepEqual(found, { ...SCENE, kind: "stream", url: "ws://a.example/stream/hall" });
-  assert.equal(asked.length, 9);
-  assert.deepEqual(waits, [1000, 1000, 2000, 4000, 8000, 16_000, 32_000, 60_000, 1000]);
+  assert.equal(asked.length, 11);
+  assert.deepEqual(waits.map(Math.round), [250, 258, 515, 1030, 2060, 4120, 8240, 16_480, 32_960, 60_000, 336]);
 });
 
 test("a scene whose preparation has ended without a stream is not asked for again", async (t) => {

@@ -131,7 +131,7 @@ export class StaticHost {
   }
 
   #report(bytes: number, rate: number): void {
-    const got = this.#session?.arrivals;
+    const got = this.#session?.arrived;
     this.post({
       kind: "traffic",
       traffic: {

@@ -1,7 +1,7 @@
 // What a static scene says of itself (docs/static.md): scene.json, checked.
 import { headerOf, withCode } from "./header.ts";
 import { type Fields, integer, list, number, object, refuse, triple } from "./json.ts";
-import { BLOCK, type SetBlocks } from "./static-sets.ts";
+import { blocksOf, type SetBlocks } from "./static-sets.ts";
 import type { HarmonicTables, Header, Pose } from "./types.ts";
 
 const VERSION = 8;
@@ -52,13 +52,15 @@ export function parseScene(text: string): StaticScene {
   if (top.version !== VERSION) {
     throw new Error(`${WHERE}: expected version ${VERSION}, got ${String(top.version)}; export the scene again`);
   }
-  const places = object(top.places, `${WHERE}, places`), plain = headerOf(top, WHERE);
+  const places = object(top.places, `${WHERE}, places`), known = headerOf(top, WHERE);
+  const files = parseFiles(object(top.files, `${WHERE}, files`)), isPlain = files.has("plain");
   const scene: StaticScene = {
     header: {
-      ...withCode(plain, top, WHERE), harmonics: top.harmonics === null ? null : parseHarmonics(top.harmonics),
+      ...(isPlain ? { ...known, plain: true } : withCode(known, top, WHERE)),
+      harmonics: top.harmonics === null ? null : parseHarmonics(top.harmonics),
     },
-    files: parseFiles(object(top.files, `${WHERE}, files`)), sets: parseBlocks(top.harmonics),
-    parts: integer(top, "parts", 0, plain.gaussians, WHERE),
+    files, sets: parseBlocks(isPlain ? null : top.harmonics),
+    parts: integer(top, "parts", 0, known.gaussians, WHERE),
     middle: triple(places.middle, `${WHERE}, places, middle`),
     scale: number(places.scale, 0, FARTHEST, `${WHERE}, places, scale`),
     cells: parseCells(object(top.cells, `${WHERE}, cells`), `${WHERE}, cells`),
@@ -102,11 +104,11 @@ function parseGlances(value: unknown, where: string): CellInfo["glances"] {
 
 function checkFiles(scene: StaticScene): void {
   const { header, files, parts, cells, first } = scene, wanted = new Map([["index", 1], ["grid", 1], ["row", cells.count]]);
-  wanted.set("part", parts);
+  wanted.set(header.plain ? "plain" : "part", parts);
   if (header.terms > 0) wanted.set("terms", parts);
   if (first.length > 0) wanted.set("first", first.length);
   if (cells.glances !== null) wanted.set("glance", cells.count * cells.glances.sectors);
-  if (header.harmonics !== null) wanted.set("sets", scene.sets.bytes.length);
+  if (header.harmonics !== null && !header.plain) wanted.set("sets", scene.sets.bytes.length);
   for (const [kind, count] of wanted) {
     const got = files.get(kind)?.count;
     if (got !== count) refuse(`${WHERE}, files, ${kind}`, `${count} files`, got);
@@ -128,10 +130,9 @@ function parseHarmonics(value: unknown): HarmonicTables {
 
 /** Return the bytes and the worth of each block of sets; nothing where there are none. */
 function parseBlocks(value: unknown): SetBlocks {
-  if (value === null) return { size: BLOCK, bytes: [], worth: [] };
+  if (value === null) return { bytes: [], worth: [] };
   const where = `${WHERE}, harmonics`, said = object(value, where), { sets } = parseHarmonics(value);
-  const size = said.block === undefined ? BLOCK : integer(said, "block", 1, MOST, where), count = Math.ceil(sets / size);
-  return { size, bytes: numbers(said, "bytes", count, where), worth: numbers(said, "worth", count, where) };
+  return { bytes: numbers(said, "bytes", blocksOf(sets), where), worth: numbers(said, "worth", blocksOf(sets), where) };
 }
 
 function numbers(o: Fields, key: string, count: number, where: string): number[] {

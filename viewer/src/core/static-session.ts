@@ -11,6 +11,7 @@ import { PartError } from "./static-parts.ts";
 import type { Parts } from "./static-parts.ts";
 import { readPiece } from "./static-pieces.ts";
 import type { Piece } from "./static-pieces.ts";
+import { PlainArrivals } from "./static-plain.ts";
 import { ASKED, choose, HELD, LOST, NONE, worthOf } from "./static-plan.ts";
 import type { Choice, Holdings } from "./static-plan.ts";
 import type { StaticScene } from "./static-scene.ts";
@@ -31,6 +32,7 @@ interface SessionEvents extends SourceEvents {
 
 export class StaticSession {
   readonly arrivals: Arrivals;
+  readonly #plain: PlainArrivals | null; // in place of `arrivals`
   readonly #held: Holdings;
   readonly #rows = new Map<number, CellRow | Promise<CellRow>>();
   readonly #first: FirstView[];
@@ -59,7 +61,13 @@ export class StaticSession {
       left: new Float32Array(count).fill(1),
     };
     this.arrivals = new Arrivals(scene.header);
+    this.#plain = scene.header.plain ? new PlainArrivals(scene.header) : null;
     this.#first = scene.first.map((_, k) => new FirstView(scene, k));
+  }
+
+  /** What has come so far. */
+  get arrived(): { readonly gaussians: number; readonly terms: number } {
+    return this.#plain ?? this.arrivals;
   }
 
   /** Read the tables of the scene. Without an index nothing can be drawn; without a grid there is one cell. */
@@ -270,19 +278,28 @@ export class StaticSession {
 
   /** Decode a part, or terms; return what tells of it. */
   async #readPart(data: Uint8Array, where: string): Promise<() => void> {
+    const plain = this.#plain;
+    if (plain !== null) {
+      return () => {
+        const { batch, harmonics } = plain.add(data, where);
+        if (harmonics !== null) this.events.sets?.(harmonics.first, harmonics.sets);
+        this.events.batch(batch);
+      };
+    }
     const piece = await readPiece(data, this.scene.header, this.arrivals.rows, where);
     return () => this.events.batch(this.arrivals.add(piece));
   }
 
   /** Decode a block of sets of harmonics; return what tells of it. */
   async #readSets(data: Uint8Array, block: number): Promise<() => void> {
-    const { first, sets } = await readSets(data, block, this.scene.sets.size, this.scene.header.harmonics!);
+    const { first, sets } = await readSets(data, block, this.scene.header.harmonics!);
     return () => this.events.sets?.(first, sets);
   }
 
   /** Return a file, or one of a kind by its number. */
   async #read(kind: string, number?: number, bytes?: number, take?: (data: Uint8Array) => void): Promise<Uint8Array> {
-    const { name, bytes: all } = this.scene.files.get(kind)!, file = number === undefined ? name : `${name}-${number}.bin`;
+    const family = kind === "part" && this.#plain !== null ? "plain" : kind;
+    const { name, bytes: all } = this.scene.files.get(family)!, file = number === undefined ? name : `${name}-${number}.bin`;
     return this.link.measure(() => this.parts.read(file, bytes ?? all, take), this.parts.isAhead?.(file));
   }
 

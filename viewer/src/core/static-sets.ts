@@ -3,13 +3,17 @@ import { damaged, inflate } from "./static-tables.ts";
 import type { HarmonicTables } from "./types.ts";
 
 const NEAR = 64; // sets that are put together at a time
-export const BLOCK = 1024; // sets, where scene.json does not say how many
+const BLOCK = 1024; // sets
 
 /** What is known of each block before it comes. */
 export interface SetBlocks {
-  size: number; // sets in each but the last
   bytes: number[];
   worth: number[]; // mean squared change of color, over the whole scene
+}
+
+/** Return the number of blocks of so many sets. */
+export function blocksOf(sets: number): number {
+  return Math.ceil(sets / BLOCK);
 }
 
 /** Return how many bytes name a set. */
@@ -19,9 +23,9 @@ export function labelBytes(tables: HarmonicTables | null): number {
 
 /** Return the number of the first set of a block, and its sets: 3 K bytes each, for each coefficient R, G and B. */
 export async function readSets(
-  data: Uint8Array, block: number, size: number, tables: HarmonicTables,
+  data: Uint8Array, block: number, tables: HarmonicTables,
 ): Promise<{ first: number; sets: Uint8Array }> {
-  const first = size * block, count = Math.min(size, tables.sets - first);
+  const first = BLOCK * block, count = Math.min(BLOCK, tables.sets - first);
   const each = 3 * ((tables.degree + 1) ** 2 - 1), where = `sets ${block}`;
   const packed = await inflate(data, each * count, where);
   if (packed.length !== each * count) throw damaged(where);

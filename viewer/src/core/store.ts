@@ -104,7 +104,8 @@ export class Store {
   #appendGaussians(batch: Batch, count: number, kept: boolean): void {
     const from = this.count, to = from + count, most = this.header.gaussians;
     if (!kept && (this.slots || batch.first !== from)) this.#appendSlots(batch.first, count);
-    for (const texture of [this.records, this.links, this.colors]) texture.reserve(to, most);
+    const room = this.header.plain ? Math.min(most, this.most) : to; // so that nothing is copied to a larger texture
+    for (const texture of [this.records, this.links, this.colors]) texture.reserve(Math.max(room, to), most);
     this.records.write(from, batch.records);
     const links = new Uint32Array(2 * count), slots = kept ? this.slots : null, { marks } = this;
     for (let k = 0; k < count; k++) {
@@ -113,7 +114,7 @@ export class Store {
     }
     this.links.write(from, links);
     if (batch.labels) {
-      this.labels.reserve(to, most);
+      this.labels.reserve(Math.max(room, to), most);
       this.labels.write(from, batch.labels);
       this.#note(from, batch.labels);
     }
@@ -123,12 +124,15 @@ export class Store {
 
   /** Add sets of harmonics, from number `first` on; those beyond the largest texture leave base colors. */
   addSets(first: number, sets: Uint8Array): void {
-    const { harmonics } = this.header;
+    const { harmonics, plain } = this.header;
     if (!harmonics) return;
-    const texels = harmonicTexels(harmonics), end = texels * (first + sets.length / harmonicBytes(harmonics));
+    const texels = harmonicTexels(harmonics), own = plain ? 16 * texels : harmonicBytes(harmonics);
+    const end = texels * (first + sets.length / own), all = texels * harmonics.sets;
     if (end > ROW * this.#limit) return;
-    this.sets.reserve(end, texels * harmonics.sets);
-    this.sets.write(texels * first, packSets(sets, harmonics));
+    this.sets.reserve(plain ? Math.min(all, ROW * this.#limit) : end, all);
+    this.sets.write(
+      texels * first, plain ? new Uint32Array(sets.buffer, sets.byteOffset, sets.length / 4) : packSets(sets, harmonics),
+    );
     const last = end / texels - 1;
     this.#lowest.forEach((lowest, row) => { if (lowest <= last && this.#highest[row] >= first) this.stale.add(row); });
   }

@@ -57,6 +57,7 @@ export interface Header {
   antialiased: boolean; // the scene was trained with the opacities of antialiased splatting
   identity: string;
   code: Code | null; // of a stream
+  plain?: boolean; // from this machine: all Gaussians come, and harmonics as whole texels with upper bits turned
 }
 
 /**
@@ -69,7 +70,7 @@ export interface Batch {
   ids: Uint32Array; // (G)
   records: Uint32Array; // (4 G), 16 bytes of the wire each
   rows: Uint32Array; // (G), the row of each Gaussian's chunk
-  means: Float32Array; // (3 G)
+  means: Float32Array; // (3 G); none of parts from this machine
   firstRow: number;
   chunks: Float32Array; // (8 C): origin xyz, low, step xyz, stride; steps < 0: logarithmic
   boxes: Float32Array; // (6 C): low and high corner of each chunk
@@ -128,7 +129,7 @@ export interface Traffic {
 export interface SourceEvents {
   header(header: Header, fresh: boolean): void; // fresh: drop everything drawn so far
   batch(batch: Batch): void;
-  sets?(first: number, sets: Uint8Array): void; // of harmonics, 3 K bytes each: K coefficients of R, G, B
+  sets?(first: number, sets: Uint8Array): void; // of harmonics, 3 K bytes each: K coefficients of R, G, B; see `plain`
   state(state: SourceState): void;
   traffic(traffic: Traffic): void;
 }

@@ -19,6 +19,7 @@ export interface ViewerOptions {
   budget?: number; // most Gaussians in a picture; all by default
   memory?: number; // bytes on the GPU
   sortWorker?: WorkerStart;
+  patient?: boolean; // see `Viewer.patient`
 }
 
 /** How a viewer fares. */
@@ -34,7 +35,7 @@ export interface Statistics {
   terms: number;
   dropped: number; // did not fit into memory
   gpuBytes: number;
-  firstImageSeconds: number | null; // from `open` to the first Gaussians on the canvas
+  firstImageSeconds: number | null; // from `open` until the GPU has drawn the first Gaussians
   precision: Precision;
   state: SourceState;
   bytes: number;

@@ -31,6 +31,8 @@ const START: Eye = { position: [0, 0, 0], rotation: [1, 0, 0, 0], fovY: Math.PI 
 /** Shows what a source gives on a canvas. Events of `ViewerEvent` say what has changed. */
 export class Viewer extends EventTarget {
   readonly canvas: HTMLCanvasElement;
+  /** Whether nothing is drawn until all of the scene is here: something else is shown meanwhile. */
+  patient: boolean;
   readonly #gl: WebGL2RenderingContext;
   readonly #options: ViewerOptions;
   readonly #sorter: Sorter;
@@ -75,6 +77,7 @@ export class Viewer extends EventTarget {
     super();
     this.canvas = canvas;
     this.#options = options;
+    this.patient = options.patient ?? false;
     this.#eye = options.camera ?? START;
     this.#most = { gaussians: options.budget ?? Infinity, ratio: options.maxPixelRatio ?? Infinity };
     this.#sorter = new Sorter(options.sortWorker); // its script comes while the browser makes a context
@@ -496,17 +499,26 @@ export class Viewer extends EventTarget {
       most: this.#most.gaussians, lowered: this.#look.antialiased,
     };
     const same = still && last.region.levels === region.levels && last.region.most === region.most, done = same && last.version === this.#version;
-    if (!done && !this.#sorter.sorting && !(same && this.#rests())) {
+    if (!done && !this.#sorter.sorting && !this.#waits && !(same && this.#rests())) {
       this.#asked = { camera, version: this.#version, region };
       this.#sorter.sort(camera, region);
     }
     return done;
   }
 
+  /** Whether nothing is drawn yet. */
+  get #waits(): boolean {
+    return this.patient && this.#state.kind !== "failed" && !this.#isAllHere && !this.#settled.length;
+  }
+
+  get #isAllHere(): boolean {
+    return this.#state.kind === "complete" && !this.#intake.isBusy;
+  }
+
   /** Return whether a picture of the same view with more data has to wait: each takes cores from what loads it. */
   #rests(): boolean {
     const left = this.#fence ? LOOK_MS : this.#until - performance.now();
-    if (left <= 0 || this.#settled.length) return false;
+    if (left <= 0 || this.#settled.length || (this.#header?.plain && this.#isAllHere)) return false;
     this.#pause ||= setTimeout(() => {
       this.#pause = 0;
       this.#request();
@@ -522,6 +534,7 @@ export class Viewer extends EventTarget {
       if (gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED) return this.#await(begin);
       gl.deleteSync(fence);
       this.#fence = null;
+      this.#figures.first ??= (now - this.#opened) / 1000;
       this.#until = now + (isSoftware(gl) ? REST_OF_CPU : REST) * (now - begin);
     }, LOOK_MS);
   }
@@ -569,9 +582,6 @@ export class Viewer extends EventTarget {
     }
     this.#count(begin);
     this.#figures.frame = performance.now() - begin;
-    if (this.#figures.first === null && this.#renderer.count) {
-      this.#figures.first = (performance.now() - this.#opened) / 1000;
-    }
     this.#say("frame");
   }
 }

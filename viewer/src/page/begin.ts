@@ -51,7 +51,7 @@ export function viewsFromPoses(poses: readonly StartPose[]): View[] {
 
 /** Ask for floor, cells and views; what does not come in time counts as unknown. */
 export async function survey(facts: Facts): Promise<Surroundings> {
-  const late = new Promise<null>((done) => setTimeout(done, PATIENCE, null));
+  const late = facts.begun.then(() => new Promise<null>((done) => setTimeout(done, PATIENCE, null)));
   const [floor, cells, poses] = await Promise.all([
     Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late]), Promise.race([facts.views(), late]),
   ]);

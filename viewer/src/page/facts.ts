@@ -42,8 +42,14 @@ const MOST_KEPT = 200; // answers
 export class Facts {
   readonly #kept = new Map<string, Promise<unknown>>();
 
-  /** `base` is an address that ends with a slash, null where no server can be asked; `held` are answers from files. */
-  constructor(private readonly base: string | null, private readonly held: Promise<unknown> = Promise.resolve(null)) {}
+  /**
+   * `base` is an address that ends with a slash, null where no server can be asked; `held` are answers from files; `begun`
+   * settles when there is anything to wait for: a scene may still be written.
+   */
+  constructor(
+    private readonly base: string | null, private readonly held: Promise<unknown> = Promise.resolve(null),
+    readonly begun: Promise<unknown> = Promise.resolve(),
+  ) {}
 
   get known(): boolean {
     return this.base !== null;

@@ -17,7 +17,8 @@ interface Located {
   gaussians: number | null;
 }
 
-const LOOK_MS = 1000; // between two questions whether there is more of a scene
+// between two questions whether there is more of a scene: at first, and after half a minute
+const FIRST_LOOK_MS = 250, LOOK_MS = 1000, SLOWER = 1.03;
 const LONGEST_LOOK_MS = 60_000; // the same, of a server that does not answer
 
 /**
@@ -46,10 +47,11 @@ export async function awaitMore(
   scene: SceneAddress, permits: Permit, shown: number | null = null,
   sleep: (milliseconds: number) => Promise<void> = rest,
 ): Promise<SceneAddress | null> {
-  for (let wait = LOOK_MS; ; ) {
+  for (let wait = FIRST_LOOK_MS, pace = wait; ; ) {
     await sleep(wait);
     const now = await locate(scene, permits);
-    wait = now.answered ? LOOK_MS : Math.min(2 * wait, LONGEST_LOOK_MS); // a question without an answer settles nothing
+    pace = Math.min(SLOWER * pace, LOOK_MS);
+    wait = now.answered ? pace : Math.min(2 * wait, LONGEST_LOOK_MS); // a question without an answer settles nothing
     if (!now.answered) continue;
     const isWhole = shown !== null && now.gaussians !== null && now.gaussians !== shown;
     if (now.scene.kind === "stream" || isWhole) return now.scene;
@@ -61,16 +63,23 @@ export const rest = (milliseconds: number): Promise<void> => new Promise((done) 
 
 /** Return what is known of a scene: a server is asked, a static scene has views, and where it has cells those, in files. */
 export function factsOf(scene: SceneAddress): Facts {
-  if (scene.kind === "static") return new Facts(null, readFiles(scene.url));
+  if (scene.kind === "static") {
+    const at = placesOf(scene.url), said = ask(at("scene.json"));
+    return new Facts(null, readFiles(at, said), said);
+  }
   return new Facts(scene.root && new URL(`scenes/${encodeURIComponent(scene.name)}/`, scene.root).href);
 }
 
-/** Return what a server would answer, of a static scene: `cells`, with its views, `floor`, and the address of `walk`. */
-async function readFiles(url: string): Promise<unknown> {
-  const at = (name: string): string => url === "inline:"
+/** Return what gives the address of each file of a static scene. */
+function placesOf(url: string): (name: string) => string {
+  return (name) => url === "inline:"
     ? `data:;base64,${document.querySelector(`script[data-name="${name}"]`)?.textContent}`
     : new URL(name, url.replace(/(\/[^/]*\.json)?\/?$/, "/")).href;
-  const said = fields(await ask(at("scene.json"))), files = fields(said?.files);
+}
+
+/** Return what a server would answer, of a static scene: `cells`, with its views, `floor`, and the address of `walk`. */
+async function readFiles(at: (name: string) => string, scene: Promise<unknown>): Promise<unknown> {
+  const said = fields(await scene), files = fields(said?.files);
   const file = fields(files?.facts), walk = fields(files?.walk);
   const facts = file && fields(await fetch(at(String(file.name))).then(
     ({ body }) => new Response(body!.pipeThrough(new DecompressionStream("deflate"))).json(),

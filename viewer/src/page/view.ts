@@ -61,6 +61,7 @@ export class ViewPage {
   #misses = 0; // waits since the scene was opened, before its server has said anything
   #blank = 0; // looks at a complete picture without a Gaussian
   #focused = false;
+  #still: PageCamera | null = null; // the camera of the picture that stays until all of the scene is here
   #release: () => void = () => undefined;
   readonly #followers: ((resting: boolean) => void)[] = [];
   #walls: Facts | null = null; // asked for walls
@@ -184,9 +185,12 @@ export class ViewPage {
   async #open(): Promise<void> {
     this.#header = null;
     this.#misses = 0;
-    this.#canvas.replaceWith((this.#canvas = make("canvas", {
+    const before = this.#canvas;
+    before.before((this.#canvas = make("canvas", {
       tabindex: 0, role: "application", "aria-label": text("page.scene", { name: this.scene.name }), "aria-describedby": "keys",
     })));
+    if (this.#still === null) before.remove();
+    else keepStill(before);
     this.#drive.listen(this.#canvas);
     const { source, header, release } = holdPoses(this.core.makeSource(this.scene, this.#token));
     [this.#source, this.#release] = [source, release];
@@ -194,7 +198,9 @@ export class ViewPage {
     await Promise.race([header.then((known) => this.#takeHeader(known, source)), rest(AHEAD_MS)]);
     if (this.#source !== source) return;
     try {
-      this.#viewer = this.core.makeViewer(this.#canvas, { source, background: this.#background, camera: this.#camera });
+      this.#viewer = this.core.makeViewer(this.#canvas, {
+        source, background: this.#background, camera: this.#camera, patient: this.#still !== null,
+      });
     } catch (error) {
       source.close();
       const message = error instanceof Error ? error.message : String(error);
@@ -224,6 +230,7 @@ export class ViewPage {
 
   /** Begin anew where a visitor asked for it, from a button that is gone then. */
   #tryAgain(): void {
+    this.#uncover();
     this.#restart();
     this.#canvas.focus();
   }
@@ -249,6 +256,7 @@ export class ViewPage {
     this.scene = scene;
     this.#facts = factsOf(scene);
     this.#ready = this.#prepare();
+    if (scene.kind === "static" && this.#viewer?.statistics.firstImageSeconds) this.#still = this.#camera;
     this.#restart();
     if (scene.kind === "stream") this.#notices.say(text("say.prepared"));
   }
@@ -320,13 +328,20 @@ export class ViewPage {
   #look(): void {
     if (!this.#viewer || document.hidden) return;
     const now = this.#viewer.statistics;
-    if (now.firstImageSeconds !== null) this.#root.querySelector(".poster")?.remove();
+    if (now.firstImageSeconds !== null) this.#uncover();
     this.#showState(
       now.state.kind, describeState(now.state, this.page.visitor ? null : now.gaussians), this.#header ? now.gaussians / this.#header.gaussians : 0,
     );
     this.#blank = now.state.kind === "complete" && !now.drawn ? this.#blank + 1 : 0;
     if (this.#blank === BLANK_LOOKS) this.#notices.say(text("say.nothing"));
     if (!this.#figures.element.hidden) this.#figures.show(now, this.#header);
+  }
+
+  /** Take away what covers the canvas until there is a picture in it. */
+  #uncover(): void {
+    this.#root.querySelector(".poster")?.remove();
+    this.#still = null;
+    if (this.#viewer) this.#viewer.patient = false;
   }
 
   #showState(kind: string, text: string, share: number): void {
@@ -357,6 +372,7 @@ export class ViewPage {
       this.#source?.pose(camera);
     }
     if (!this.#viewer || !this.#places.isBegun) return;
+    if (this.#still !== null && !isSame(this.#still, camera)) this.#uncover(); // somebody moves
     this.#viewer.camera = camera;
     this.#inspector.mark.hidden = true;
     this.#drawCells();
@@ -526,4 +542,17 @@ export class ViewPage {
     }
     this.#actions.changed();
   }
+}
+
+/** Leave the last picture of a canvas on the page, as a cover. */
+function keepStill(canvas: HTMLCanvasElement): void {
+  for (const name of ["tabindex", "role", "aria-label", "aria-describedby"]) canvas.removeAttribute(name);
+  canvas.className = "poster";
+  canvas.ariaHidden = "true";
+}
+
+/** Return whether two cameras are the same but for rounding. */
+function isSame(one: PageCamera, other: PageCamera): boolean {
+  const numbers = [...other.position, ...other.rotation, other.fovY];
+  return [...one.position, ...one.rotation, one.fovY].every((v, k) => Math.abs(v - numbers[k]) <= 1e-6 * (1 + Math.abs(v)));
 }

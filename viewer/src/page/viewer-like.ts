@@ -41,9 +41,11 @@ export interface ViewerOptions {
   background?: [number, number, number];
   memory?: number;
   maxPixelRatio?: number;
+  patient?: boolean;
 }
 
 export interface ViewerLike {
+  patient?: boolean; // nothing is drawn until all is here
   camera: PageCamera;
   background: [number, number, number];
   paint: Paint;

@@ -1,0 +1,1 @@
+"""Kernels of the room `export`, one concept a file; they take checked, contiguous arrays."""
