@@ -28,7 +28,7 @@ from gsvis.scene.place import Place
 from gsvis.scene.readings import Choice, find_choices
 from gsvis.scene.source import Source
 
-__all__ = ["Settled", "settle", "settle_space", "settle_visit", "write_picture"]
+__all__ = ["Settled", "settle", "settle_space", "settle_stay", "settle_visit", "write_picture"]
 
 if TYPE_CHECKING:
     from gsvis.export.start import Visit
@@ -159,6 +159,19 @@ def settle_visit(
 ) -> tuple[Shown, Visit]:
     """Return how a visit begins after a question on a terminal in doubt, and the options with the answers in them.
 
+    Arguments and errors are those of `settle_stay`.
+    """
+    settled, plan = settle_stay(where, source, walk, status, quiet=quiet)
+    visit = plan()
+    status("start", 1, 1)
+    return settled.where, visit
+
+
+def settle_stay(
+    where: Shown, source: Source, walk: HeadPath | None, status: Status, *, quiet: bool
+) -> tuple[Settled[Shown], Callable[[], Visit]]:
+    """Return where people stand after a question on a terminal in doubt, and what finds the first views of a visit.
+
     Args:
         where: The options.
         source: The scene.
@@ -178,9 +191,13 @@ def settle_visit(
     settled = settle(where, source, lambda w: find_place(some, w, walk), status, quiet=quiet)
     if where.given or where.kind not in (None, "auto"):
         settled.place.required("leave it out, or say where eyes may be with --box or --around")
-    visit = replace(plan_visit(some, settled.place, parse_up(settled.where.up)), remarks=settled.remarks)
-    status("start", 1, 1)
-    return settled.where, visit
+
+    def plan() -> Visit:
+        """Find the views."""
+        found = plan_visit(some, settled.place, parse_up(settled.where.up))
+        return replace(found, remarks=settled.remarks)
+
+    return settled, plan
 
 
 def write_picture(path: Path, source: Source, place: Place) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import subprocess
@@ -28,12 +29,14 @@ from gsvis.files.temporary import temporary_folder
 from gsvis.package.manifest import MANIFEST
 
 if TYPE_CHECKING:
+    from gsvis.export.start import Visit
     from gsvis.export.static import StaticOptions
     from gsvis.scene.gaussians import Gaussians
     from gsvis.scene.navigable import NavigableSpace
     from gsvis.scene.paths import HeadPath
+    from gsvis.scene.source import Source
     from gsvis.serve import Server
-    from gsvis.serve.scenes import Scenes
+    from gsvis.serve.scenes import Scenes, ServedScene
 
 __all__ = ["run_view"]
 
@@ -46,14 +49,15 @@ _LARGE = 500_000  # Gaussians of a scene of which a sample is shown first
 def run_view(command: View) -> None:
     """Open a scene, serve it to this machine, and open the browser."""
     from gsvis.serve import TextLines
-    from gsvis.serve.scenes import Scenes, open_scene
+    from gsvis.serve.scenes import Scenes
 
+    failures: list[Exception] = []
     with ExitStack() as stack:
         stack.enter_context(log_to_stderr(TextLines(), logging.DEBUG if command.output.debug else logging.WARNING))
-        shown = _open(command, stack)
+        with _uncollected():
+            shown = _open(command, stack)
         command = shown.command
-        scene = open_scene(shown.folder, shown.name, max_cache_bytes=_CACHE)
-        scene.preparing = shown.in_part
+        scene = shown.serve()
         scenes = stack.enter_context(Scenes([scene]))
         name = scene.name
         server = _listen(command, scenes)
@@ -67,13 +71,38 @@ def run_view(command: View) -> None:
             for each in shown.remarks:
                 say(each.strip())
             say(f"{page} shows {shown_name(command.scene)}; Ctrl-C ends it")
-        if shown.later is not None:
-            threading.Thread(target=copy_context().run, args=(shown.later, scenes), daemon=True).start()
+        beside = partial(_work_beside, shown, scenes, server, failures)
+        threading.Thread(target=copy_context().run, args=(beside,), daemon=True).start()
         if not command.no_browser:
             # The server listens already; it answers as soon as it runs.
             threading.Thread(target=webbrowser.open, args=(_address(server, page),), daemon=True).start()
         with suppress(KeyboardInterrupt):
             server.run()
+        failed = tuple(failures)  # what fails from here on fails because the folders go
+    for error in failed:
+        raise error
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Pause the garbage collector: modules make many objects, nearly all for good, and it takes a sixth of the time."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
+def _work_beside(shown: _Opened, scenes: Scenes, server: Server, failures: list[Exception]) -> None:
+    """Do what is left to do while the scene is shown; an error ends the server, and is kept."""
+    try:
+        if shown.later is not None:
+            shown.later(scenes)
+    except Exception as error:
+        failures.append(error)
+        server.stop()
 
 
 class _Opened(NamedTuple):
@@ -85,7 +114,7 @@ class _Opened(NamedTuple):
         name: The name in addresses; "" for that of the folder.
         remarks: Remarks for the user.
         later: What is left to do while the scene is shown; None for nothing.
-        in_part: Whether a sample is shown until the whole is there.
+        in_part: Gaussians of a sample that `later` writes, and that is shown until the whole is there; 0 without one.
     """
 
     command: View
@@ -93,7 +122,17 @@ class _Opened(NamedTuple):
     name: str = ""
     remarks: Sequence[str] = ()
     later: Later | None = None
-    in_part: bool = False
+    in_part: int = 0
+
+    def serve(self) -> ServedScene:
+        """Return the scene for a server; a sample is waited for by those who ask."""
+        from gsvis.serve.scenes import open_scene, promise_scene
+
+        if self.in_part == 0:
+            return open_scene(self.folder, self.name, max_cache_bytes=_CACHE)
+        scene = promise_scene(self.folder, self.name, self.in_part)
+        scene.preparing = True
+        return scene
 
 
 def _open(command: View, stack: ExitStack) -> _Opened:
@@ -109,12 +148,11 @@ def _open(command: View, stack: ExitStack) -> _Opened:
                 f"{option}: expected none for a package, a world or a static scene, got {got}; leave it out"
             )
         return _Opened(command, path)
-    from gsvis.cli.asking import settle_visit
+    from gsvis.cli.asking import settle_stay
     from gsvis.cli.source import open_source
     from gsvis.export.later_walk import promise_walk
-    from gsvis.export.static import StaticOptions, write_static
+    from gsvis.export.static import write_static
     from gsvis.io.sources import check_source, glance_at, title_of
-    from gsvis.serve.server import is_loopback
 
     walk = _check_scene(command)
     with Status() as status:
@@ -122,24 +160,58 @@ def _open(command: View, stack: ExitStack) -> _Opened:
         glance = None if command.prepare is not None else glance_at(command.scene, _LARGE)
         source = open_source(command.scene, command.lod, status) if glance is None else glance[0]
         folder = Path(stack.enter_context(temporary_folder()))
-        where, visit = settle_visit(command.where, source, walk, status, quiet=command.output.json)
-        command = replace(command, where=where)
-        x, y, z = visit.up.tolist()
-        name = title_of(command.scene, source.lod)
-        near = is_loopback(command.host)
-        shown = StaticOptions(name, (x, y, z), poses=visit.starts, most_sets=None, is_near=near)
-        write_static(folder, source.whole, shown, progress=status)
-        if visit.space is not None and glance is None:
-            promise_walk(folder)
-    remarks = list(visit.remarks)
-    later: Later | None = None
-    if glance is not None:
-        whole = Path(stack.enter_context(temporary_folder()))
-        later = partial(_show_all, command, whole, shown, visit.space)
-        remarks.append(f" first {len(source.gaussians):,} of {glance[1]:,} Gaussians; all of them follow by themselves")
-    elif visit.space is not None:
-        later = partial(_write_walk, folder, source.gaussians, visit.space, title_of(command.scene))
-    return _Opened(command, folder, title_of(command.scene), remarks, later, glance is not None)
+        settled, plan = settle_stay(command.where, source, walk, status, quiet=command.output.json)
+        command = replace(command, where=settled.where)
+        name = title_of(command.scene)
+        if glance is not None:
+            whole = Path(stack.enter_context(temporary_folder()))
+            note = f" first {len(source.gaussians):,} of {glance[1]:,} Gaussians; all of them follow by themselves"
+            later = partial(_show_sample, command, source, plan, folder, whole)
+            return _Opened(command, folder, name, [*settled.remarks, note], later, len(source.gaussians))
+        visit = plan()
+        write_static(folder, source.whole, _options(command, visit, source.lod), progress=status)
+        if visit.space is None:
+            return _Opened(command, folder, name, visit.remarks)
+        promise_walk(folder)
+    return _Opened(
+        command, folder, name, visit.remarks, partial(_write_walk, folder, source.gaussians, visit.space, name)
+    )
+
+
+def _options(command: View, visit: Visit, lod: int | None) -> StaticOptions:
+    """Return how a scene is written."""
+    from gsvis.export.static import StaticOptions
+    from gsvis.io.sources import title_of
+    from gsvis.serve.server import is_loopback
+
+    x, y, z = visit.up.tolist()
+    name = title_of(command.scene, lod)
+    return StaticOptions(name, (x, y, z), poses=visit.starts, most_sets=None, is_near=is_loopback(command.host))
+
+
+def _show_sample(
+    command: View, sample: Source, plan: Callable[[], Visit], folder: Path, whole: Path, scenes: Scenes
+) -> None:
+    """Write the sample of a large scene, for which pages wait, and then the whole of it.
+
+    Args:
+        command: The command.
+        sample: The sample.
+        plan: Finds the first views.
+        folder: Where the sample is written.
+        whole: Where all of the scene is written.
+        scenes: The scenes that are served.
+    """
+    from gsvis.export.static import write_static
+    from gsvis.io.sources import title_of
+
+    visit = plan()
+    shown = _options(command, visit, sample.lod)
+    write_static(folder, sample.whole, shown)
+    site = scenes[title_of(command.scene)].site
+    assert site is not None, "the sample is a static scene"
+    site.read()
+    _show_all(command, whole, shown, visit.space, scenes)
 
 
 def _show_all(command: View, folder: Path, shown: StaticOptions, space: NavigableSpace | None, scenes: Scenes) -> None:

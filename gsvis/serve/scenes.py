@@ -29,7 +29,7 @@ from gsvis.stream import Hello, Quality, Session, StreamedScene
 from gsvis.stream.kept import KeptTables, open_kept
 from gsvis.world import is_world
 
-__all__ = ["Scenes", "ServedScene", "name_of", "open_scene", "open_scenes"]
+__all__ = ["Scenes", "ServedScene", "name_of", "open_scene", "open_scenes", "promise_scene"]
 
 
 _REACH = 100.0
@@ -364,6 +364,18 @@ def open_scene(
     except BaseException:
         scene.source.close()
         raise
+
+
+def promise_scene(folder: str | PathLike[str], name: str, gaussians: int) -> ServedScene:
+    """Return a static scene that is still being written: whoever asks for it waits. `Site.read` ends that.
+
+    Args:
+        folder: The folder that it is written to.
+        name: Name in addresses.
+        gaussians: Number of its Gaussians.
+    """
+    path = _check.path("folder", folder)
+    return ServedScene(name, path, None, site=Site(path, gaussians))
 
 
 def _report(served: ServedScene, log: EventLog) -> None:

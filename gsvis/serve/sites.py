@@ -27,10 +27,11 @@ __all__ = ["SCENE", "Site", "is_site"]
 
 _MOST_JSON = 64 << 20
 _MOST_FILES = 1 << 20  # of one kind
-_PIECE = 256 << 10  # bytes read and sent at a time
+_PIECE = 1 << 20  # bytes read and sent at a time
 _HASHED = re.compile(r"-[0-9a-f]{16}(?:-\d+)?\.bin$")  # such a file never changes
 _LATE = re.compile(r"walk-[0-9a-f]{16}\.bin")  # gsvis.export.later_walk writes it while the scene is shown
 _LOOK = 0.1  # seconds between two looks for such a file
+_SOON = 0.02  # seconds between two looks for a scene
 _QUIET = 30  # such looks without a request after which pages have what they need
 _MOST_LOOKS = 600
 _PATIENCE = 60.0  # seconds for which an answer waits for it
@@ -47,10 +48,13 @@ class Site:
 
     Args:
         folder: The folder.
+        promised: Number of Gaussians of a scene that is still being written: `read` must be called when it is there,
+            and those who ask for `scene.json` wait until then. None for a scene that is there.
 
     Attributes:
         folder: The folder.
         about: Content of `scene.json`.
+        is_there: Whether the scene has been read.
         names: Names of the files that it lists, and its own.
         answers: How many requests for files were answered.
         is_walk_asked: Whether anybody has asked for the file of walking that is written later.
@@ -60,17 +64,31 @@ class Site:
         OSError: If it cannot be read.
     """
 
-    def __init__(self, folder: Path) -> None:
-        path = folder / SCENE
+    def __init__(self, folder: Path, promised: int | None = None) -> None:
+        self.folder = folder
+        self.about: dict[str, Any] = {"gaussians": promised}
+        self.names = frozenset([SCENE])
+        self.is_there = False
+        self.answers = 0
+        self.is_walk_asked = False
+        if promised is None:
+            self.read()
+
+    def read(self) -> None:
+        """Read `scene.json`.
+
+        Raises:
+            FormatError: If it is not one of a static scene.
+            OSError: If it cannot be read.
+        """
+        path = self.folder / SCENE
         about = parse_json(path, read_whole(path, _MOST_JSON))
         if not isinstance(about, dict) or about.get("format") != FORMAT:
             raise FormatError(path, "format", FORMAT, repr(about.get("format") if isinstance(about, dict) else None))
-        self.folder = folder
-        self.about = about
         names = [name for name in _names(about.get("files")) if _NAME.fullmatch(name) and ".." not in name]
+        self.about = about
         self.names = frozenset([SCENE, *names])
-        self.answers = 0
-        self.is_walk_asked = False
+        self.is_there = True
 
     @property
     def gaussians(self) -> int | None:
@@ -104,6 +122,8 @@ class Site:
         path = self.folder / name
         self.answers += 1
         self.is_walk_asked |= bool(_LATE.fullmatch(name))
+        if not await self._is_written():
+            return PlainTextResponse("the scene is not there yet; try again\n", 503, {"retry-after": "1"})
         if name not in self.names or not await _comes(path) or path.is_dir():
             return PlainTextResponse("no such file\n", 404)
         if path.is_symlink():
@@ -115,6 +135,14 @@ class Site:
             source.close()
             raise
 
+    async def _is_written(self) -> bool:
+        """Return whether the scene is there; one that is promised is waited for."""
+        for _ in range(int(_PATIENCE / _SOON)):
+            if self.is_there:
+                break
+            await asyncio.sleep(_SOON)
+        return self.is_there
+
     def _answer(self, request: Request, source: BinaryIO, name: str, private: bool) -> Response:
         """Answer with an open file, which is closed at the end."""
         state = os.fstat(source.fileno())
@@ -122,6 +150,8 @@ class Site:
         headers = {"accept-ranges": "bytes", "etag": tag, "x-content-type-options": "nosniff"}
         whose = "private" if private else "public"
         headers["cache-control"] = f"{whose}, max-age=31536000, immutable" if _HASHED.search(name) else "no-cache"
+        if name.startswith("plain-"):  # for pages on this machine: to store them again takes longer than to send them
+            headers["cache-control"] = "no-store"
         kind = "application/json" if name.endswith(".json") else "application/octet-stream"
         part = part_of(request, state.st_size, headers)
         status = 206 if "content-range" in headers else 200

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -204,12 +205,13 @@ def test_a_large_file_is_shown_in_part_until_the_whole_is_there(large: Path) -> 
         opened = view._open(View(str(large)), stack)
         assert opened.in_part
         assert "of 1,000 Gaussians; all of them follow" in opened.remarks[-1]
-        sample = open_scene(opened.folder, opened.name)
-        sample.preparing = True
+        sample = opened.serve()
+        assert (sample.preparing, sample.gaussians) == (True, opened.in_part)
+        assert 50 < opened.in_part < 150
         with Scenes([sample]) as scenes:
-            assert 50 < (sample.gaussians or 0) < 150
             assert opened.later is not None
             opened.later(scenes)
+            assert sample.gaussians == opened.in_part
             whole = scenes["hall"]
             assert (whole.gaussians, whole.preparing) == (1000, False)
             starts = [json.loads((each.path / "scene.json").read_text())["poses"] for each in (sample, whole)]
@@ -224,13 +226,43 @@ def test_a_large_file_that_is_damaged_further_on_stays_in_part(large: Path, caps
     large.write_bytes(data)
     with ExitStack() as stack:
         opened = view._open(View(str(large)), stack)
-        sample = open_scene(opened.folder, opened.name)
+        sample = opened.serve()
         with Scenes([sample]) as scenes:
             assert opened.later is not None
             opened.later(scenes)
             assert scenes["hall"] is sample
+            assert sample.gaussians == opened.in_part
             assert not sample.preparing
     assert "is shown in part" in capsys.readouterr().err
+
+
+def test_a_sample_that_cannot_be_written_ends_the_command_in_one_line(
+    large: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "scene.json")
+
+    monkeypatch.setattr("gsvis.export.static.write_static", fail)
+    assert main(["view", str(large), "--no-browser", "--json", "--port", "0"]) == 2
+    said = capsys.readouterr()
+    assert json.loads(said.out)["scene"] == "hall"
+    assert "scene.json: no space left" in said.err
+    assert len(said.err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "title"),
+    [
+        ("copies_0.6M.ply", "copies_0.6M"),
+        ("biker.compressed.ply", "biker"),
+        ("old.splat.gz", "old"),
+        ("v1.2.spz", "v1.2"),
+        ("plain", "plain"),
+    ],
+)
+def test_a_title_is_the_name_of_the_file_without_its_ending(tmp_path: Path, name: str, title: str) -> None:
+    (tmp_path / name).touch()
+    assert sources.title_of(str(tmp_path / name)) == title
 
 
 def test_a_large_file_that_is_prepared_meanwhile_is_read_whole(large: Path) -> None:

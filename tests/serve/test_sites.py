@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from gsvis.errors import FormatError
-from gsvis.serve import Address, Server, open_scenes
-from gsvis.serve.scenes import open_scene
+from gsvis.serve import Address, Scenes, Server, open_scenes
+from gsvis.serve.scenes import open_scene, promise_scene
 from gsvis.serve.sites import Site
 from gsvis.stream.wire import ServerFault
 from tests.serve.servers import ask, close_code, has_all, heard, patient, raw, serving
@@ -117,6 +117,35 @@ def test_a_file_of_walking_that_comes_later_is_waited_for(site: Path) -> None:
         (site / "part").rename(site / "walk-0123456789abcdef.bin")
         status, _, body = asked.result()
         assert (status, body) == (200, b"walk")
+
+
+def test_a_scene_that_is_still_written_is_waited_for(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = promise_scene(site, "room", 7)
+    assert scene.site is not None
+    with Scenes([scene]) as scenes, ThreadPoolExecutor(1) as pool:
+        server = Server(scenes, None, Address(port=0))
+        with server.running():
+            asked = pool.submit(ask, server, "/scenes/room/scene.json")
+            (row,) = json.loads(ask(server, "/")[2])["scenes"]  # others are answered meanwhile
+            assert (row["gaussians"], row["static"]) == (7, "scenes/room/scene.json")
+            assert not asked.done()
+            monkeypatch.setattr("gsvis.serve.sites._PATIENCE", 0.0)
+            status, fields, _ = ask(server, "/scenes/room/records.bin")
+            assert (status, fields["retry-after"]) == (503, "1")
+            scene.site.read()
+            assert json.loads(asked.result()[2])["gaussians"] == 65536
+            assert ask(server, "/scenes/room/records.bin")[2] == RECORDS
+            assert json.loads(ask(server, "/")[2])["scenes"][0]["gaussians"] == 65536
+
+
+def test_browsers_do_not_store_what_is_on_their_machine(site: Path) -> None:
+    about = json.loads((site / "scene.json").read_text())
+    about["files"]["plain"] = {"name": "plain-0123456789abcdef", "bytes": 1, "count": 1}
+    (site / "scene.json").write_text(json.dumps(about))
+    (site / "plain-0123456789abcdef-0.bin").write_bytes(b"p")
+    with serving(site) as server:
+        _, fields, _ = ask(server, "/scenes/room/plain-0123456789abcdef-0.bin")
+        assert fields["cache-control"] == "no-store"
 
 
 def test_work_beside_a_scene_waits_until_pages_have_read_it_or_need_it(site: Path) -> None:
