@@ -90,7 +90,7 @@ def find_lattices(means: NDArray[np.float32], *, runs: int = MOST_RUNS) -> Latti
 
 
 def _find_common(means: NDArray[np.float32], ids: I64, most: int) -> tuple[F64, F64] | None:
-    """Return offset (3,) and step (3,) of the lattice with most of `most` runs of centers (N, 3); None if there is none.
+    """Return offset (3,) and step (3,) of the lattice with most of `most` runs of centers, or None.
 
     Args:
         means: (N, 3) centers.
