@@ -317,18 +317,18 @@ def quantize(
             base[:, k] = _around(colors.base[:, 0], 0.0, 1.0, 1 << g.precision.base)
         else:
             base[:, k] = _grids.nearest(colors.base[:, k], g.base_table(k))
-    parts = [colors[start : start + _PART] for start in range(0, len(colors), _PART)] or [colors]
-    lobes = list(in_order(lambda part: _round_lobes(part, g), parts))
-    values = [part.intensities.astype(np.float64) for part in parts]
+    parts = [slice(start, start + _PART) for start in range(0, max(len(colors), 1), _PART)]
+    lobes = list(in_order(lambda part: _round_lobes(colors[part], g), parts))
     if refit:
         pairs = zip(parts, lobes, strict=True)
-        values = list(in_order(lambda pair: _project(pair[0], _lobes_of(pair[1], g)), pairs))
+        values = list(in_order(lambda pair: _project(colors[pair[0]], _lobes_of(pair[1], g)), pairs))
         if grids is None:
             g = replace(g, intensity=max(map(_largest, values)))
         rows = zip(parts, lobes, values, strict=True)
-        places = list(in_order(lambda row: _round_jointly(row[0], _lobes_of(row[1], g), row[2], g), rows))
+        places = list(in_order(lambda row: _round_jointly(colors[row[0]], _lobes_of(row[1], g), row[2], g), rows))
+        del values
     else:
-        places = [_grids.nearest(each, g.intensity_table()) for each in values]
+        places = [_grids.nearest(colors[part].intensities.astype(np.float64), g.intensity_table()) for part in parts]
     centers, decays = (np.concatenate(column) for column in zip(*lobes, strict=True))
     intensities = np.concatenate(places)
     scales = _grids.nearest(colors.scales, g.scale_table()) if has_scales(kind) else np.zeros(0, np.uint16)

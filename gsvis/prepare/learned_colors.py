@@ -18,6 +18,7 @@ from gsvis.color.blend import blend_colors
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.sh import seen_sh_colors
 from gsvis.color.srbf import SrbfColors
+from gsvis.jobs.freed_memory import release_freed_memory
 from gsvis.jobs.in_order import in_order
 from gsvis.progress import Progress, silent
 from gsvis.render.fixed_view import FixedView
@@ -237,9 +238,12 @@ def learn_lesson(
         return learned, about
     drawn: dict[str, SrbfColors | None] = {} if lesson.named == "renders" else {"sh": None}
     drawn |= {"fitted": colors, "learned": learned}
+    release_freed_memory()
     measure = ColorMeasure(g, whole, lesson.held_out)
     tried = [None if each is None else to_records(each) for each in drawn.values()]
+    release_freed_memory()
     about.psnr.update(zip(drawn, measure.psnr_of(*tried, progress=progress), strict=True))
+    del tried
     if lesson.named != "renders" or about.helps:
         return learned, about
     for share in _SHARES:

@@ -74,6 +74,8 @@ def run_colors(stages: Stages, levels: Levels, store: VisibilityStore) -> StageC
             )
             provenance: dict[str, Any] = {"directions": found.sets_from}
             colors = found.fit.colors
+            del found
+            stages.rest()
             if count_color_steps(stages):
                 colors, learned = _learn(stages, levels, colors)
                 provenance["learned"] = {**learned.as_dict(), "remark": learned.remark}

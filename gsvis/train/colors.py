@@ -39,6 +39,8 @@ from gsvis.train.loss import photometric_loss
 
 __all__ = ["LearnConfig", "learn_colors", "learn_sh", "view_of_step"]
 
+_BLOCK = 1 << 20  # terms whose centers are brought into range at a time
+
 
 @dataclass(frozen=True)
 class LearnConfig:
@@ -276,8 +278,10 @@ class _Student:
         self._terms.finish()
         begun = self._begun
         angles = self._terms.values["centers"]
-        moved = (angles != begun.centers).any(axis=1)
-        angles[moved] = spherical_coordinates(unit_vectors(angles[moved]))
+        for start in range(0, len(angles), _BLOCK):
+            part = angles[start : start + _BLOCK]
+            moved = (part != begun.centers[start : start + _BLOCK]).any(axis=1)
+            part[moved] = spherical_coordinates(unit_vectors(part[moved]))
         growth = torch.from_numpy(self._terms.values["growth"][:, 0])
         decays = _grow(torch.from_numpy(begun.decays.copy()), growth).numpy()
         return replace(

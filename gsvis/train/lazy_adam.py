@@ -24,6 +24,7 @@ I64 = NDArray[np.int64]
 
 _BETA1 = 0.9
 _BETA2 = 0.999
+_BLOCK = 1 << 20  # rows that are brought up to date at a time
 
 
 class LazyAdam:
@@ -87,8 +88,11 @@ class LazyAdam:
         self._last[rows] = now
 
     def finish(self) -> None:
-        """Bring all rows up to date."""
-        self.catch_up(np.arange(len(self._last)))
+        """Bring all rows up to date; no step follows."""
+        for start in range(0, len(self._last), _BLOCK):
+            self.catch_up(np.arange(start, min(start + _BLOCK, len(self._last))))
+        self._first.clear()
+        self._second.clear()
 
     def catch_up(self, rows: I64) -> None:
         """Take the missed steps of some different rows (M,)."""
