@@ -94,7 +94,7 @@ def first_bytes(eye: Eye, steps: list[dict[str, Any]]) -> dict[float, tuple[int,
 
 
 def state_after(eye: Eye, steps: list[dict[str, Any]], last: int) -> tuple[np.ndarray, np.ndarray]:
-    held, terms, slots = np.zeros(len(eye.g), bool), np.zeros(eye.evaluator.source.num_terms, bool), []
+    held, terms, slots = np.zeros(len(eye.g), bool), np.zeros(eye.evaluator.num_terms, bool), []
     for step in steps[: last + 1]:
         slots += step["ids"]
         held[step["ids"]] = True

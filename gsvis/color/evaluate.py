@@ -34,18 +34,22 @@ class Evaluator:
 
     Args:
         colors: N Gaussians with T terms.
+        keep: Whether the colors are kept beside what is laid out.
 
     Attributes:
-        source: The colors.
+        source: The colors; None if they are not kept.
+        num_terms: T.
 
     Raises:
         ValueError: If `colors` is not a `SrbfColors`.
     """
 
-    def __init__(self, colors: SrbfColors) -> None:
+    def __init__(self, colors: SrbfColors, *, keep: bool = True) -> None:
         if not isinstance(colors, SrbfColors):
             raise ValueError(f"colors: expected SrbfColors, got {type(colors).__name__}")
-        self.source = colors
+        self.source = colors if keep else None
+        self.num_terms = colors.num_terms
+        self._count = len(colors)
         self._space = _kernels_rgb.SPACES[colors.kind.space]
         order, starts = _layout(colors.counts)
         slots = np.zeros((int(starts[-1]) * _kernels_srbf.SLOT, _kernels_srbf.LANES), np.float32)
@@ -56,10 +60,10 @@ class Evaluator:
         self._packed = order, colors.offsets, starts, slots, base, np.ascontiguousarray(scales[:, 0])
 
     def __len__(self) -> int:
-        return len(self.source)
+        return self._count
 
     def __repr__(self) -> str:
-        return f"Evaluator({self.source!r})"
+        return f"Evaluator({self._count:,} Gaussians, {self.num_terms:,} terms)"
 
     def colors(
         self, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None, ids: ArrayLike | None = None
@@ -80,7 +84,7 @@ class Evaluator:
         """
         (centers,) = _check.read_only(_check.floats("means", means, (len(self), 3)))
         viewpoint = _check.floats("eye", eye, (3,), np.float64)
-        mask = _mask(active, self.source.num_terms)
+        mask = _mask(active, self.num_terms)
         if ids is None:
             out = np.empty((len(self), 3), np.float32)
             windows = np.arange(len(self._packed[4]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -61,20 +62,33 @@ def measure_fidelity(
         exact: The highest level before rounding. Without it, only the step "cells" is measured on its own.
         sets: Visible sets of the package; None skips the step "cells".
         active: The terms that its cells need; None with `sets` means that no terms are sent.
-        progress: Called with stage "fidelity", in views.
+        progress: Called with stage "fidelity", in images.
 
     Raises:
         ValueError: If there is no camera, or lengths do not match.
     """
     if len(cameras) == 0:
         raise ValueError("cameras: expected at least one, got none")
-    progress("fidelity", 0, len(cameras))
-    wanted = [_rasterize(scene, cameras[c]) for c in range(len(cameras))]
+    done = -1
+    total = (2 if exact is None else 3) * len(cameras)
+
+    def advance() -> None:
+        """Report another image of a view."""
+        nonlocal done
+        done += 1
+        progress("fidelity", done, total)
+
+    advance()
+    wanted = []
+    for c in range(len(cameras)):
+        wanted.append(_rasterize(scene, cameras[c]))
+        advance()
     release_mapped(vars(scene).values())
-    draw = _Steps(contents, exact, sets, active)
+    exactly = [dict[str, F32]() for _ in wanted] if exact is None else _draw_exact(exact, cameras, advance)
+    draw = _Steps(contents, sets, active)
     values: dict[str, list[float]] = {}
     for c in range(len(cameras)):
-        images = {"scene": wanted[c], **draw(cameras[c])}
+        images = {"scene": wanted[c], **exactly[c], **draw(cameras[c])}
         found = {"records": _psnr(images["rounding"], images["scene"])}
         if "cells" in images:
             found["cell"] = _psnr(images["cells"], images["scene"])
@@ -83,43 +97,46 @@ def measure_fidelity(
                 found[after] = _psnr(images[after], images[before])
         for name, value in found.items():
             values.setdefault(name, []).append(value)
-        progress("fidelity", c + 1, len(cameras))
+        advance()
     return Fidelity.from_values(values, cameras)
 
 
+def _draw_exact(exact: ExactLevel, cameras: Cameras, advance: Callable[[], None]) -> list[dict[str, F32]]:
+    """Return the images of views of the highest level before rounding, with SH and with terms, by name."""
+    g = exact.gaussians
+    if len(g) != len(exact.colors):
+        raise ValueError(f"exact: expected colors of {len(g):,} Gaussians, got {len(exact.colors):,}")
+    evaluator = Evaluator(exact.colors, keep=False)
+    found = []
+    for c in range(len(cameras)):
+        with_terms = evaluator.colors(g.means, cameras[c].viewpoints[0])
+        found.append({"levels": _rasterize(g, cameras[c]), "terms": _rasterize(g, cameras[c], with_terms)})
+        advance()
+    release_mapped(vars(g).values())
+    return found
+
+
 class _Steps:
-    """Draws views of a scene after each step toward a client."""
+    """Draws views of the records of a scene, and of what a client has of them in a cell."""
 
     def __init__(
-        self,
-        contents: Contents,
-        exact: ExactLevel | None,
-        sets: VisibilityStore | None,
-        active: CellTerms | ActiveTerms | None,
+        self, contents: Contents, sets: VisibilityStore | None, active: CellTerms | ActiveTerms | None
     ) -> None:
-        self._exact = exact
         self._sets = sets
         self._active = active
-        if exact is not None and len(exact.gaussians) != len(exact.colors):
-            raise ValueError(f"exact: expected colors of {len(exact.gaussians):,} Gaussians, got {len(exact.colors):,}")
-        self._before = None if exact is None else Evaluator(exact.colors)
         self._decoded = contents.gaussians()
         self._highest = contents.last == len(contents.names) - 1
-        self._after = Evaluator(contents.colors().dequantize())
+        self._after = Evaluator(contents.colors().dequantize(), keep=False)
 
     def __call__(self, camera: Cameras) -> dict[str, F32]:
         """Return images (H, W, 3) by name: one for each of `STEPS` that is known."""
         eye = camera.viewpoints[0]
         images: dict[str, F32] = {}
-        if self._exact is not None and self._before is not None:
-            g = self._exact.gaussians
-            images["levels"] = _rasterize(g, camera)
-            images["terms"] = _rasterize(g, camera, self._before.colors(g.means, eye))
         images["rounding"] = self._draw_records(camera, eye, self._highest, None)
         if self._sets is not None:
             cell = self._sets.grid.nearest(eye)
             seen = np.zeros(len(self._decoded), bool)
-            terms = np.zeros(self._after.source.num_terms, bool)
+            terms = np.zeros(self._after.num_terms, bool)
             seen[self._sets.visible_ids(cell)] = True
             if self._active is not None:
                 terms[self._active.active_ids(cell)] = True

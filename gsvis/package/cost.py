@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.records import QuantizedColors
@@ -13,6 +14,7 @@ from gsvis.package.rounding import Limits, rounded_contents
 from gsvis.progress import Progress, silent
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
 __all__ = ["measure_cost"]
@@ -39,7 +41,7 @@ def measure_cost(
         cameras: C > 0 views.
         limits: How records are rounded; None for records that have all bits.
         order: The order of these levels, if it is known; None finds it.
-        progress: Called with stage "cost", in views.
+        progress: Called with stage "cost", in images: two of each view.
 
     Raises:
         ValueError: If lengths do not match or there is no camera.
@@ -50,17 +52,22 @@ def measure_cost(
         raise ValueError(f"exact: expected colors of {len(levels.union):,} Gaussians, got {len(exact):,}")
     contents = rounded_contents(levels, colors, limits, order)
     member = levels.member(len(levels) - 1)
-    scenes = [g.showing(member) for g in (levels.union.without_harmonics(), contents.gaussians())]
-    evaluators = [Evaluator(of) for of in (exact, contents.colors().dequantize())]
-    found = []
-    progress("cost", 0, len(cameras))
-    for c in range(len(cameras)):
-        camera = cameras[c]
-        eye = cameras[c].viewpoints[0]
-        images = [
-            np.clip(rasterize(g, camera, colors=e.colors(g.means, eye)).images[0], 0.0, 1.0)
-            for g, e in zip(scenes, evaluators, strict=True)
-        ]
-        found.append(min(_CAP, float(psnr(images[1], images[0]))))
-        progress("cost", c + 1, len(cameras))
+    done = 0
+
+    def draw(g: Gaussians, of: SrbfColors) -> list[NDArray[np.float32]]:
+        """Return the images of all views."""
+        nonlocal done
+        evaluator = Evaluator(of, keep=False)
+        images = []
+        for c in range(len(cameras)):
+            colors = evaluator.colors(g.means, cameras[c].viewpoints[0])
+            images.append(np.clip(rasterize(g, cameras[c], colors=colors).images[0], 0.0, 1.0))
+            done += 1
+            progress("cost", done, 2 * len(cameras))
+        return images
+
+    progress("cost", 0, 2 * len(cameras))
+    wanted = draw(levels.union.without_harmonics().showing(member), exact)
+    rounded = draw(contents.gaussians().showing(member), contents.colors().dequantize())
+    found = [min(_CAP, float(psnr(image, other))) for image, other in zip(rounded, wanted, strict=True)]
     return Cost(float(np.mean(found)), float(np.min(found)), len(cameras), cameras.width, cameras.height)

@@ -240,19 +240,23 @@ def learn_lesson(
     drawn |= {"fitted": colors, "learned": learned}
     release_freed_memory()
     measure = ColorMeasure(g, whole, lesson.held_out)
-    tried = [None if each is None else to_records(each) for each in drawn.values()]
-    release_freed_memory()
-    about.psnr.update(zip(drawn, measure.psnr_of(*tried, progress=progress), strict=True))
-    del tried
+    about.psnr.update(
+        zip(drawn, measure.psnr_of(*drawn.values(), to_records=to_records, progress=progress), strict=True)
+    )
     if lesson.named != "renders" or about.helps:
         return learned, about
     for share in _SHARES:
         blended = blend_colors(colors, learned, share)
-        (found,) = measure.psnr_of(to_records(blended))
+        (found,) = measure.psnr_of(blended, to_records=to_records)
         less = replace(about, psnr={"fitted": about.psnr["fitted"], "learned": found}, share=share)
         if less.helps:
             return blended, less
     return colors, replace(about, share=0.0)
+
+
+def _lay_out(colors: SrbfColors, to_records: Callable[[SrbfColors], SrbfColors] | None) -> Evaluator:
+    """Return what draws colors, rounded if they are to be; rounded ones are not kept."""
+    return Evaluator(colors) if to_records is None else Evaluator(to_records(colors), keep=False)
 
 
 class ColorMeasure:
@@ -270,16 +274,23 @@ class ColorMeasure:
         self._drawn = g.without_harmonics()[shown]
         self._views = views
 
-    def psnr_of(self, *tried: SrbfColors | None, progress: Progress = silent) -> tuple[F64, ...]:
+    def psnr_of(
+        self,
+        *tried: SrbfColors | None,
+        to_records: Callable[[SrbfColors], SrbfColors] | None = None,
+        progress: Progress = silent,
+    ) -> tuple[F64, ...]:
         """Return (C,) dB of drawn views against their images, both clipped to [0, 1], for each of some colors.
 
         Args:
             tried: Colors of the Gaussians; None means SH.
+            to_records: Function that rounds the colors first; None draws them as they are.
             progress: Called with stage "measure", in views.
         """
         views = self._views
         cameras = views if isinstance(views, Cameras) else views.cameras
-        evaluators = [None if colors is None else Evaluator(colors) for colors in tried]
+        evaluators = [None if colors is None else _lay_out(colors, to_records) for colors in tried]
+        release_freed_memory()
         found = np.empty((len(tried), len(views)))
 
         def measure(c: int) -> None:

@@ -67,6 +67,8 @@ def camera_colors_torch(
         return CameraColors(lambda c: torch.from_numpy(evaluator.colors(means, eyes[c])).to(tensors.means), False)
     if not isinstance(colors, SrbfTensors):
         source = colors.source if isinstance(colors, Evaluator) else colors
+        if source is None:
+            raise ValueError("colors: expected an Evaluator that keeps its colors, got one with keep=False")
         colors = SrbfTensors.from_colors(source, tensors.means.dtype, tensors.means.device)
     terms = colors
 
