@@ -50,7 +50,7 @@ __all__ = [
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-VERSIONS = {"sample_rows": 2, "find_grid": 4, "split_batch": 3}
+VERSIONS = {"sample_rows": 2, "find_grid": 5, "split_batch": 3}
 
 _GUESSED = 1 << 18  # assumed Gaussians of a batch whose number is unknown until it is read
 
@@ -61,8 +61,8 @@ _SAMPLE = 1 << 19  # approximate rows of the sample
 _MARGIN = 0.25  # share of the robust box that is added to each side
 _SQUARES = 64  # squares along a side for each tile along it
 _MOST_SIDE = 1 << 11  # most squares along the longer side of the grid
-_FILL = 0.9  # intended share of `most` in a tile, because the sample is not exact
-_SLACK = 0.08  # a tile may be fuller by this share of a tile, which costs less than one more tile
+_FILL = 0.95  # share of `most` that a tile of a part with more can have: cuts lie between squares
+_SURE = 2.0  # standard deviations of the sampled number of Gaussians of a full tile that are left free
 
 Rect = tuple[int, int, int, int]
 """A rectangle of squares: the first square along each axis, then the number of squares along each axis."""
@@ -134,6 +134,7 @@ def find_grid(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     axes = [axis for axis in range(3) if axis != cut]
     inside = sample.means[((sample.means >= low) & (sample.means <= high)).all(axis=1)].astype(np.float64)
     every = params["every"]
+    most = _most_by_sample(config.most, every)
     number = _SQUARES * math.sqrt(max(1.0, len(inside) * every / config.most))
     while True:
         number = min(number, _MOST_SIDE)
@@ -141,8 +142,8 @@ def find_grid(params: Facts, given: Given, out: Path, work: Path) -> Facts:
         shape = np.maximum(np.ceil((high - low)[axes] / side - 1e-9), 1).astype(int)
         squares = np.floor((inside[:, axes] - low[axes]) / side).astype(int).clip(0, shape - 1)
         counts = every * np.bincount(squares[:, 0] * shape[1] + squares[:, 1], minlength=int(shape.prod()))
-        tiles, expected, tree = cut_squares(counts.reshape(shape), config.most)
-        if max(expected, default=0) <= config.most or number >= _MOST_SIDE:
+        tiles, expected, tree = cut_squares(counts.reshape(shape), most)
+        if max(expected, default=0) <= most or number >= _MOST_SIDE:
             break
         number *= 2
     grid = Grid(_triple(low), side, (axes[0], axes[1]), (int(shape[0]), int(shape[1])))
@@ -196,10 +197,10 @@ def _direction(up: str | Sequence[float]) -> F64:
 
 
 def cut_squares(counts: I64, most: int) -> tuple[list[Rect], list[int], Any]:
-    """Cut a grid into few rectangles with at most `most` Gaussians each, with nearly equal numbers.
+    """Cut a grid into few rectangles with at most `most` Gaussians each.
 
-    A rectangle with more is cut across its longer side, so that the Gaussians of both parts are in proportion to their
-    numbers of tiles, but not in the outer quarters of the side.
+    A rectangle with more is cut across its longer side, where both parts need fewest tiles, and of such places at the
+    one that halves it best, but not in the outer quarters of the side.
 
     Args:
         counts: (X, Y) Gaussians of each square.
@@ -222,10 +223,8 @@ def cut_squares(counts: I64, most: int) -> tuple[list[Rect], list[int], Any]:
             return (x, y, width, height) if total else None
         across = width >= height
         before = np.cumsum(block.sum(axis=1 if across else 0))
-        parts = max(2, math.ceil(total / (_FILL * most) - _SLACK))
         least = max(1, len(before) // 4)
-        ends = before[least - 1 : len(before) - least]
-        at = least + int(np.abs(ends - total * ((parts // 2) / parts)).argmin())
+        at = least + _best_cut(before[least - 1 : len(before) - least], total, most)
         if across:
             return [cut(x, y, at, height), cut(x + at, y, width - at, height)]
         return [cut(x, y, width, at), cut(x, y + at, width, height - at)]
@@ -241,6 +240,28 @@ def cut_squares(counts: I64, most: int) -> tuple[list[Rect], list[int], Any]:
     return tiles, [found[rect] for rect in tiles], numbered(tree)
 
 
+def _best_cut(before: I64, total: int, most: int) -> int:
+    """Return the number of the cut after which both parts need fewest tiles, and which halves best of these.
+
+    Args:
+        before: (C,) Gaussians before each cut.
+        total: Gaussians of both parts.
+        most: Most Gaussians of a tile.
+    """
+    tiles = _fewest_tiles(before, most) + _fewest_tiles(total - before, most)
+    return int(np.lexsort((np.abs(2 * before - total), tiles))[0])
+
+
+def _fewest_tiles(counts: I64, most: int) -> F64:
+    """Return about how many tiles parts with some numbers (C,) of Gaussians need, at least."""
+    return np.where(counts <= most, np.sign(counts), np.ceil(counts / (_FILL * most)))
+
+
+def _most_by_sample(most: int, every: int) -> int:
+    """Return the most sampled Gaussians of a tile, times `every`, so that it hardly has more than `most` in truth."""
+    return most if every == 1 else max(1, int(most - _SURE * math.sqrt(most * every)))
+
+
 def split_batch(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: write the rows of a batch as one file for each tile. The input is the grid.
 
@@ -249,11 +270,12 @@ def split_batch(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     g = read_batch(Batch(**params["batch"]))
     found = given.inputs[0].facts
     keys = tiles_of(g.means, found)
+    order = np.argsort(keys, kind="stable")
+    tiles, first = np.unique(keys[order], return_index=True)
     counts = {}
-    for key in np.unique(keys).tolist():
+    for key, rows in zip(tiles.tolist(), np.split(order, first[1:]), strict=True):
         name = tile_name(None if key < 0 else found["tiles"][key])
-        rows = g[keys == key]
-        save_gaussians(out / name, rows)
+        save_gaussians(out / name, g[rows])
         counts[name] = len(rows)
     colors = np.maximum(0.5 + SH_C0 * g.sh0[:, 0].astype(np.float64), 0.0) if len(g) else np.full((1, 3), 0.5)
     return {"counts": counts, "reach": np.stack([colors.min(axis=0), colors.max(axis=0)], axis=1).tolist()}

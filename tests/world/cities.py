@@ -48,7 +48,7 @@ def write_long_city(folder: Path) -> None:
     """Write a long world of two levels with districts that are seen; what lies outside has one level."""
     levels = LevelsConfig((0.3,), (0.8,), ("low", "high"), iterations=2, preview=0.0)
     scene = write(small_street(houses=4, step=0.5, flyaways=12), folder / "street.ply")
-    prepare_world([scene], folder / "city.gsworld", replace(config(levels, most=400), angle=0.8))
+    prepare_world([scene], folder / "city.gsworld", replace(config(levels, most=320), angle=0.8))
 
 
 def content(folder: Path) -> dict[str, bytes]:

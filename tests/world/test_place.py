@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -53,9 +54,14 @@ def walk_between(start: np.ndarray, end: np.ndarray, seconds: float = 4.0) -> He
 
 
 def walk_along(path: Path) -> HeadPath:
-    """From the first cell to the last."""
+    """The longest straight walk between the middles of two cells that stays in cells."""
     grid = open_place(path, walk_between(np.zeros(3), np.ones(3)), as_is=True).scene.index.grid
-    return walk_between(grid.centers.min(axis=0), grid.centers.max(axis=0))
+    pairs = list(combinations(grid.centers, 2))
+    for start, end in sorted(pairs, key=lambda pair: -float(np.linalg.norm(pair[1] - pair[0]))):
+        walk = walk_between(start, end)
+        if (grid.cell_at(walk.positions) >= 0).all():
+            return walk
+    raise AssertionError("no two cells that touch")
 
 
 def visit(place: Place, walk: HeadPath) -> Visit:

@@ -26,6 +26,7 @@ from gsvis.scene.content import scene_hash
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import random_scene
+from gsvis.world import tiling
 from gsvis.world.build import WorldBuild
 from gsvis.world.rows import content_order, load_gaussians
 from gsvis.world.tiling import TilingConfig, cut_squares, find_grid
@@ -149,6 +150,46 @@ def test_tiles_cover_all_that_is_there_once_and_are_well_filled(seed: int) -> No
     assert owners.max(initial=0) <= 1
     assert leaves(tree) == list(range(len(tiles)))
     assert len(tiles) <= 2.5 * counts.sum() / most + 1
+
+
+@pytest.mark.parametrize("shape", [(300, 300), (400, 100), (64, 64)])
+@pytest.mark.parametrize("tiles", [2, 3, 4, 5, 8])
+def test_even_scenes_fill_their_tiles(shape: tuple[int, int], tiles: int) -> None:
+    counts = np.full(shape, 10)
+    most = int(counts.sum() / (0.9 * tiles))
+    assert len(cut_squares(counts, most)[0]) == tiles
+
+
+def test_clumps_stay_whole() -> None:
+    """Three clumps of 0.9 tiles each are three tiles."""
+    counts = np.zeros((100, 20), int)
+    counts[[5, 52, 95]] = 45
+    tiles, expected, _ = cut_squares(counts, 1000)
+    assert expected == [900, 900, 900]
+    assert len(tiles) == 3
+
+
+def test_a_tile_is_as_full_as_a_sample_can_say() -> None:
+    assert tiling._most_by_sample(250_000, 1) == 250_000
+    rng = np.random.default_rng(0)
+    most = tiling._most_by_sample(250_000, 200)
+    real = [int(each) for each in rng.integers(240_000, 260_000, 4000)]
+    taken = [200 * int(rng.binomial(count, 1 / 200)) for count in real]
+    over = [count for count, sampled in zip(real, taken, strict=True) if sampled <= most and count > 250_000]
+    assert len(over) < 0.05 * len(real)
+
+
+def test_touching_tiles_are_those_within_the_margin(tmp_path: Path) -> None:
+    """The tiles that the plain definition gives, one by one."""
+    build = built([cities.write(cities.street(), tmp_path / "s.ply")], tmp_path / "work", most=120)
+    rects = [rect for rect in build.tiles if rect is not None]
+    assert len(rects) > 12
+    for rect in rects:
+        for margin in (0.0, 0.15, 1.0):
+            reach = max(margin * max(rect[2:]), 1e-9)
+            gaps = [[max(rect[i] - o[i] - o[i + 2], o[i] - rect[i] - rect[i + 2]) for i in (0, 1)] for o in rects]
+            near = [k for k, each in enumerate(gaps) if max(each) < reach and rects[k] != rect]
+            assert build.touching(rect, margin) == near
 
 
 def leaves(tree: Any) -> list[int]:
