@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ __all__ = ["coarse_spaces", "remember_spaces"]
 
 _MOST = 256  # four for a scene
 _from_scene = NavigableSpace.from_scene
+_from_parts = NavigableSpace.from_parts
 _found: dict[str, Any] = {}
 _sample_surface = upright.sample_surface
 _find_likely = upright.find_likely
@@ -42,6 +43,12 @@ def remember_spaces(folder: Path | None = None) -> Iterator[None]:
         space: NavigableSpace = _remember(_name(g, options), folder, lambda: _from_scene(g, **options))
         return space
 
+    def remember_parts(parts: Iterable[Gaussians], sample: Gaussians, **options: Any) -> NavigableSpace:
+        whole = Gaussians.concatenate(list(parts))
+        key = f"parts-{_name(sample, options)[:64]}-{_name(whole, {})[:64]}"
+        space: NavigableSpace = _remember(key, folder, lambda: _from_parts([whole], sample, **options))
+        return space
+
     def remember_stated(g: Gaussians, *, up: Any = None) -> NavigableSpace | None:
         key = f"stated-{_name(g, {'up': up})}"
         space: NavigableSpace | None = _remember(key, folder, lambda: stated_space(g, up=up))
@@ -55,6 +62,7 @@ def remember_spaces(folder: Path | None = None) -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(NavigableSpace, "from_scene", staticmethod(remember))
+        patch.setattr(NavigableSpace, "from_parts", staticmethod(remember_parts))
         patch.setattr(source, "stated_space", remember_stated)
         patch.setattr(upright, "sample_surface", remember_sample)
         patch.setattr(upright, "find_likely", remember_likely)
@@ -63,14 +71,19 @@ def remember_spaces(folder: Path | None = None) -> Iterator[None]:
 
 @contextmanager
 def coarse_spaces(most: int = 64) -> Iterator[None]:
-    """Let `NavigableSpace.from_scene` take at most so many voxels along a side: rays and walls then cost a tenth."""
+    """Let navigable spaces take at most so many voxels along a side: rays and walls then cost a tenth."""
     from_scene = NavigableSpace.from_scene
+    from_parts = NavigableSpace.from_parts
 
     def coarser(g: Gaussians, **options: Any) -> NavigableSpace:
         return from_scene(g, **{**options, "resolution": min(options.get("resolution", most), most)})
 
+    def coarser_parts(parts: Iterable[Gaussians], sample: Gaussians, **options: Any) -> NavigableSpace:
+        return from_parts(parts, sample, **{**options, "resolution": min(options.get("resolution", most), most)})
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(NavigableSpace, "from_scene", staticmethod(coarser))
+        patch.setattr(NavigableSpace, "from_parts", staticmethod(coarser_parts))
         yield
 
 

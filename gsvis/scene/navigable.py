@@ -140,7 +140,7 @@ class NavigableSpace:
         ):
             if not least <= value <= most:
                 raise ValueError(f"{name}: expected a value in [{least:g}, {most:g}], got {value!r}")
-        points = np.zeros((0, 3)) if seeds is None else _check.floats("seeds", seeds, ("S", 3), np.float64)
+        points = _points_of(seeds)
         look, pose = look_upright(
             g, up, resolution, max_alpha=max_alpha, clearance=clearance, coverage=coverage, seeds=points
         )
@@ -169,22 +169,32 @@ class NavigableSpace:
 
     @classmethod
     def from_parts(
-        cls, parts: Iterable[Gaussians], sample: Gaussians, *, resolution: int = 160, up: ArrayLike | str | None = None
+        cls,
+        parts: Iterable[Gaussians],
+        sample: Gaussians,
+        *,
+        resolution: int = 160,
+        up: ArrayLike | str | None = None,
+        seeds: ArrayLike | None = None,
+        mixed: bool = False,
     ) -> NavigableSpace:
-        """Find the navigable space of a scene that does not fit into memory; see `from_scene`.
+        """Find the navigable space of a scene that is large, or does not fit into memory; see `from_scene`.
 
         Args:
             parts: The scene, part by part; iterated over once for each grid.
             sample: A random sample of its Gaussians, which determines the box, the up axis and the kind of the scene.
             resolution: Voxels along the longest side of the box, 8 to 384.
             up: (3,) direction or an axis such as "+z"; guessed by default.
+            seeds: (S, 3) positions known to be navigable.
+            mixed: Whether the scene is a part of a larger one.
 
         Raises:
             ValueError: If an argument is out of range.
             SceneError: If the scene has no free space.
         """
-        look, pose = look_upright(sample, up, resolution, parts=parts)
-        return cls._over(look, pose, find_eyes(look))
+        points = _points_of(seeds)
+        look, pose = look_upright(sample, up, resolution, parts=parts, seeds=points)
+        return cls._over(look, pose, find_mixed(look) if mixed else find_eyes(look))
 
     @classmethod
     def around(
@@ -429,3 +439,8 @@ class NavigableSpace:
             if t > 2.0 * sum(self.free.shape) * self.voxel_size:  # targets far outside the grid
                 break
         return np.asarray(runs)
+
+
+def _points_of(seeds: ArrayLike | None) -> F64:
+    """Return seeds as an array (S, 3); empty without any."""
+    return np.zeros((0, 3)) if seeds is None else _check.floats("seeds", seeds, ("S", 3), np.float64)

@@ -28,6 +28,7 @@ from gsvis.prepare.stage_levels import run_levels
 from gsvis.prepare.stages import VERSIONS as STAGES
 from gsvis.progress import silent
 from gsvis.pvs.config import PvsConfig
+from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.corridor import space_along
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
@@ -36,6 +37,7 @@ from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.levels import LevelsConfig
 from gsvis.world.districts import merge_down
 from gsvis.world.rows import flatten, load_gaussians, load_rows, median_spacing, save_gaussians, save_tile_levels
+from gsvis.world.tiling import thin_out
 
 __all__ = [
     "MARGIN",
@@ -55,7 +57,7 @@ __all__ = [
     "within_tile",
 ]
 
-VERSIONS = {"gather_rows": 1, "make_tile_levels": [2, STAGES["levels"]], "tile_space": 6}
+VERSIONS = {"gather_rows": 1, "make_tile_levels": [2, STAGES["levels"]], "tile_space": 7}
 
 MOST_VOXELS = 1 << 23
 """Most voxels of the space of a tile and its surroundings, unless the resolution of the tile alone needs more."""
@@ -70,6 +72,7 @@ MARGIN = 0.15
 SURROUNDINGS = 1.0
 """Width of the strip around a tile that decides what kind of place it is and which space is enclosed, likewise."""
 
+_SAMPLE = 1 << 19  # Gaussians in and around a tile of which all tell what kind of place it is
 _COVERAGE = 0.98  # share of the centers inside the box of a grid on each axis
 
 
@@ -120,17 +123,20 @@ def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
     """
     if "walk" in params and not params["walk"]:
         return None
-    fine = _resolution(near, near_tile(near.means, params), params["resolution"])
-    seeds = params.get("seeds")
+    every = max(1, len(near) // _SAMPLE)
+    sample = near if every == 1 else thin_out(near, every)
+    fine = _resolution(sample, near_tile(sample.means, params), params["resolution"])
+    parts = [near[near.opacities >= MIN_ALPHA]]
     found: NavigableSpace | None = None
     with suppress(SceneError):
         if "walk" in params:
             found = space_along(near, params["walk"], params["margin"], resolution=fine, up=params["up"])
         else:
-            found = NavigableSpace.from_scene(near, mixed=True, resolution=fine, up=params["up"], seeds=seeds)
+            options = {"resolution": fine, "up": params["up"], "seeds": params.get("seeds")}
+            found = NavigableSpace.from_parts(parts, sample, mixed=True, **options)
     if found is None and "walk" not in params:  # an object: the grid around it is larger, so its voxels are larger too
         with suppress(SceneError):
-            found = NavigableSpace.from_scene(near, resolution=params["resolution"], up=params["up"])
+            found = NavigableSpace.from_parts(parts, sample, resolution=params["resolution"], up=params["up"])
     return None if found is None else within_tile(found, params)
 
 

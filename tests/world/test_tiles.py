@@ -21,6 +21,7 @@ from gsvis.progress import silent
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.kinds import SpaceKind
 from gsvis.scene.procedural import nested_shells, two_rooms
+from gsvis.world import tiles
 from gsvis.world.build import WorldBuild
 from gsvis.world.packages import _witnesses
 from gsvis.world.rows import load_gaussians, load_tile_levels
@@ -59,9 +60,15 @@ def test_the_lower_level_of_a_tile_without_eyes_is_as_fine_as_it_says_and_shares
 TURNS = {"upright": np.eye(3), "oblique": rotation_about_axes((45.0, 0.0, 20.0))}
 
 
-@pytest.mark.parametrize("turn", TURNS)
-def test_eyes_are_in_rooms_that_borders_cut(turn: str, tmp_path: Path) -> None:
-    """What a place is, and which space is enclosed, is seen with what lies around a tile, however the scene lies."""
+@pytest.mark.parametrize(("turn", "sample"), [("upright", 1 << 19), ("oblique", 1 << 19), ("upright", 3_000)])
+def test_eyes_are_in_rooms_that_borders_cut(
+    turn: str, sample: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a place is, and which space is enclosed, is seen with what lies around a tile, however the scene lies.
+
+    A sample of it tells the kind of the place as well as all of it.
+    """
+    monkeypatch.setattr(tiles, "_SAMPLE", sample)
     scene, rotation = two_rooms(12_000, sh_degree=0), TURNS[turn]
     x, y, z = rotation[:, 2].tolist()
     config = replace(cities.config(most=4_000), resolution=48, tiling=TilingConfig(4_000, up=(x, y, z)))
