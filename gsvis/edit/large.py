@@ -141,7 +141,7 @@ def clean_large(
     tasks = [*build.split_tasks, *(listed.rows(rect) for rect in build.tiles), listed.survey()]
     survey = run_graph(tasks, store, workers, stage="space", progress=progress)["survey"]
     parcels = [listed.parcel(k, survey.facts) for k in range(len(survey.facts["parcels"]))]
-    tasks += [*parcels, listed.whole(parcels), *(listed.merge(rect) for rect in build.tiles)]
+    tasks += [*parcels, listed.whole(parcels), *(listed.merge(rect) for rect in build.tiles), listed.far()]
     run_graph(tasks, store, workers, stage="space", progress=progress)
     tasks += [listed.clean(rect) for rect in rects]
     if None in build.tiles:
@@ -198,35 +198,44 @@ class _Tasks:
         params["parcels"] = list(range(survey + 1, len(needs)))
         return Task("whole", "gsvis.edit.tiles:find_whole", params, needs)
 
+    @cached_property
+    def _most_touching(self) -> int:
+        """Most tiles that touch one."""
+        return max(len(self._build.touching(rect)) for rect in self._build.tiles if rect)
+
     def merge(self, rect: Rect | None) -> Task:
         """Return the task that merges a tile to few Gaussians; all merged tiles together have fewer than `most`."""
         build = self._build
         most = build.config.tiling.most
-        touching = [len(build.touching(each)) for each in build.tiles if each]
-        params = {"near": max(1, most // (4 * max(1, *touching))), "far": max(1, most // (8 * len(build.tiles)))}
+        near = max(1, most // (4 * max(1, self._most_touching)))
+        params = {"near": near, "far": max(1, most // (8 * len(build.tiles)))}
         return Task(
             _task_name("merge", rect), "gsvis.edit.tiles:merge_tile", params, (_task_name("rows", rect), "whole")
         )
+
+    def far(self) -> Task:
+        """Return the task that joins all tiles, merged to fewest Gaussians, so that no tile reads each of them."""
+        merged = tuple(_task_name("merge", rect) for rect in self._build.tiles)
+        return Task("far", "gsvis.edit.tiles:join_far", {}, merged)
 
     def clean(self, rect: Rect) -> Task:
         """Return the task that classifies the Gaussians of a tile."""
         build = self._build
         touching = build.touching(rect)
         rows = self._rows([rect, *(build.tiles[k] for k in touching)])
-        others = [k for k, each in enumerate(build.tiles) if each != rect]
+        near = [*touching, *(k for k, each in enumerate(build.tiles) if each is None)]
         square = build.square_of(rect)
         params = {
             "whole": len(rows),
-            "merged": [
-                (len(rows) + 1 + i, "near" if k in touching or build.tiles[k] is None else "far", k in touching)
-                for i, k in enumerate(others)
-            ],
+            "tile": build.tiles.index(rect),
+            "near": {str(k): [len(rows) + 2 + i, k in touching] for i, k in enumerate(near)},
             **{name: square[name] for name in ("low", "high", "axes")},
             "room": int(JOINT * build.config.tiling.most),
             **self._tile_params(rect),
         }
-        merged = (_task_name("merge", build.tiles[k]) for k in others)
-        return Task(_task_name("clean", rect), "gsvis.edit.tiles:clean_tile", params, (*rows, "whole", *merged))
+        merged = (_task_name("merge", build.tiles[k]) for k in near)
+        needs = (*rows, "whole", "far", *merged)
+        return Task(_task_name("clean", rect), "gsvis.edit.tiles:clean_tile", params, needs)
 
     def outside(self) -> Task:
         """Return the task that finds flyaways."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,7 @@ __all__ = [
     "find_parcel",
     "find_whole",
     "gather_rows",
+    "join_far",
     "merge_tile",
     "survey_scene",
 ]
@@ -50,6 +52,7 @@ VERSIONS = {
     "find_parcel": 1,
     "find_whole": 1,
     "gather_rows": 1,
+    "join_far": 1,
     "merge_tile": 2,
     "survey_scene": 3,
 }
@@ -141,13 +144,21 @@ def merge_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     return {"gaussians": len(g)}
 
 
+def join_far(params: Facts, given: Given, out: Path, work: Path) -> Facts:
+    """Task: join the results named "far" of all tiles. Facts: `sizes`, the number of Gaussians of each tile."""
+    parts = [load_gaussians(given.path(k, "far")) for k in range(len(given))]
+    save_gaussians(out / "far", Gaussians.concatenate(parts))
+    return {"sizes": [len(g) for g in parts]}
+
+
 def clean_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: find the class of each Gaussian of a tile.
 
-    Inputs are its rows, those of the tiles that touch it, the whole scene, and merged tiles. Params: `low`, `high` and
-    `axes`, the rectangle of the tile; `room`, the largest number of Gaussians in and around the tile; `whole`, the
-    number of the input for the whole scene; `merged` lists input, name, and whether the halo reaches into it, for all
-    other tiles and the outside; `config`; `name`; `files`, the names of the arrays to write.
+    Inputs are its rows, those of the tiles that touch it, the whole scene, all tiles merged and joined, and some merged
+    tiles. Params: `tile`, the number of the tile; `low`, `high` and `axes`, its rectangle; `room`, the largest number
+    of Gaussians in and around the tile; `whole`, the number of the input for the whole scene, which that of the joined
+    tiles follows; `near`, by number of a tile near it, or of the outside, the input and whether the halo reaches into
+    it; `config`; `name`; `files`, the names of the arrays to write.
 
     Writes "classes" with an array for each file of a batch that was joined to the rows. Facts: Gaussians found and
     removed of each class, the cost of each, and the quality at builder's and judge's eyes.
@@ -216,7 +227,7 @@ def _load(params: Facts, given: Given) -> tuple[Gaussians, list[Gaussians]]:
     width = MARGIN * float(np.subtract(params["high"], params["low"]).max())
     near = [load_gaussians(given.path(number, "rows")) for number in range(1, params["whole"])]
     halo = Gaussians.concatenate([g[_distances_from_tile(g.means, params) < width] for g in near]) if near else own[:0]
-    merged = [(load_gaussians(given.path(number, name)), reached) for number, name, reached in params["merged"]]
+    merged = _load_merged(params, given)
     room = max(0, params["room"] - len(own) - sum(len(g) for g, _ in merged))
     if len(halo) > room:
         away = _distances_from_tile(halo.means, params)
@@ -224,6 +235,21 @@ def _load(params: Facts, given: Given) -> tuple[Gaussians, list[Gaussians]]:
         halo = halo[away < width]
     beyond = [g[_distances_from_tile(g.means, params) >= width] if reached else g for g, reached in merged]
     return own, [halo, *beyond]
+
+
+def _load_merged(params: Facts, given: Given) -> list[tuple[Gaussians, bool]]:
+    """Return the merged Gaussians of each other tile and of the outside, and whether the halo reaches into it."""
+    far = params["whole"] + 1
+    joined = load_gaussians(given.path(far, "far"))
+    ends = np.cumsum(given.inputs[far].facts["sizes"]).tolist()
+    found = []
+    for k, (first, last) in enumerate(pairwise([0, *ends])):
+        if str(k) in params["near"]:
+            number, reached = params["near"][str(k)]
+            found.append((load_gaussians(given.path(number, "near")), reached))
+        elif k != params["tile"]:
+            found.append((joined[first:last], False))
+    return found
 
 
 def _distances_from_tile(points: NDArray[np.floating[Any]], params: Facts) -> F64:

@@ -351,13 +351,16 @@ class WorldBuild:
     def touching(self, rect: Rect, margin: float = MARGIN) -> list[int]:
         """Return the tiles that touch a tile or are within a margin around it, as a share of its longer side."""
         reach = max(margin * max(rect[2:]), 1e-9)
+        first, last = self._corners
+        gaps = np.maximum(rect[:2] - last, first - np.add(rect[:2], rect[2:])).max(axis=1)
+        same = (first == rect[:2]).all(axis=1)
+        return [int(k) for k in np.flatnonzero((gaps < reach) & ~same)]
 
-        def near(other: Rect) -> bool:
-            """Return whether a different tile is within the margin."""
-            gaps = [max(rect[i] - other[i] - other[i + 2], other[i] - rect[i] - rect[i + 2]) for i in (0, 1)]
-            return other != rect and max(gaps) < reach
-
-        return [k for k, other in enumerate(self.tiles) if other is not None and near(other)]
+    @cached_property
+    def _corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(K, 2) first and last corner of each tile but the outside, in squares."""
+        rects = np.array([rect for rect in self.tiles if rect is not None], np.float64).reshape(-1, 4)
+        return rects[:, :2], rects[:, :2] + rects[:, 2:]
 
     def space_params(self, rect: Rect) -> Facts:
         """Return the params of the task that finds the space of a tile; along a walk it needs less around the tile."""

@@ -9,12 +9,16 @@ import pytest
 from numpy.typing import NDArray
 
 from gsvis.edit import CLASSES, LargeCleaning, class_of, clean_large
+from gsvis.edit.tiles import _load_merged, join_far
 from gsvis.io import batches, load_scene, save_scene
 from gsvis.io.ply import save_ply_parts
+from gsvis.jobs.graph import Given, Result
 from gsvis.jobs.objects import open_store
 from gsvis.jobs.workers import Workers
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.procedural import random_scene
+from gsvis.world.rows import save_gaussians
 from gsvis.world.tiling import TilingConfig
 from tests.edit.worlds import QUICK, dirty_room
 
@@ -84,6 +88,25 @@ def test_order_and_batches_change_nothing(
     assert scene_hash(Gaussians.concatenate(list(again.parts()))) == scene_hash(
         load_scene(tmp_path / "scene.ply")[classes[turn] == 0]
     )
+
+
+def test_tiles_that_are_read_joined_are_those_that_were_merged(tmp_path: Path) -> None:
+    """The outside, tile 3, and tile 1 are near tile 2, which is left out; tile 0 is read from the joined file."""
+    tiles = [random_scene(np.random.default_rng(k), 5 + k) for k in range(4)]
+    store = open_store(tmp_path / "store")
+    inputs = []
+    for g in tiles:
+        for name in ("near", "far"):
+            save_gaussians(tmp_path / name, g if name == "near" else g[:2])
+        inputs.append(Result({name: store.put(tmp_path / name) for name in ("near", "far")}, {}))
+    facts = join_far({}, Given(store, tuple(inputs), tmp_path), tmp_path, tmp_path)
+    joined = Result({"far": store.put(tmp_path / "far")}, facts)
+    params = {"whole": 0, "tile": 2, "near": {"1": [2, True], "3": [3, False]}}
+    given = Given(store, (Result({}, {}), joined, inputs[1], inputs[3]), tmp_path)
+    found = _load_merged(params, given)
+    assert [reached for _, reached in found] == [False, True, False]
+    wanted = [tiles[0][:2], tiles[1], tiles[3]]
+    assert [scene_hash(g) for g, _ in found] == [scene_hash(g) for g in wanted]
 
 
 def test_a_tile_that_does_not_fit_the_memory_is_one_line(tmp_path: Path) -> None:
