@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis._sorting import stable_order
 from gsvis.hpr._kernels import clusters
 from gsvis.hpr._kernels import splat as kernels
 from gsvis.hpr._kernels.reach import CLUSTER
@@ -317,7 +318,7 @@ def _in_order(g: Gaussians, ids: I64) -> I64:
     code = np.zeros(len(ids), np.uint64)
     for axis in range(3):
         code |= _spread(steps[:, axis]) << np.uint64(axis)
-    order = np.argsort(code, kind="stable")
+    order = stable_order(code)
     same = np.flatnonzero(np.diff(code[order]) == 0)
     if len(same):
         alike = np.unique(np.concatenate([same, same + 1]))
