@@ -113,9 +113,31 @@ def sample_ply(path: str | os.PathLike[str], most: int) -> tuple[Gaussians, int]
         places = np.linspace(0, vertex.count - 1, most).astype(np.int64)
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
             plain = np.ndarray((vertex.count,), np.dtype((np.void, row.itemsize)), mapped, offset)  # no field by field
-            found = plain.take(places, mode="clip").tobytes()
-        some = replace(header, elements=(replace(vertex, count=most, offset=0),))
-        return _read(some, columns, facts, BytesIO(found)), vertex.count
+            some = replace(header, elements=(replace(vertex, count=most, offset=0),))
+            return _read(some, columns, facts, _SomeRows(plain, places)), vertex.count
+
+
+class _SomeRows(BytesIO):
+    """A stream of some rows of a file; no more of them are in memory than are read at a time.
+
+    Args:
+        rows: (N,) rows of the file, as bytes.
+        places: (M,) which of them are read, in their order.
+    """
+
+    def __init__(self, rows: NDArray[np.void], places: NDArray[np.int64]) -> None:
+        super().__init__()
+        self._rows = rows
+        self._places = places
+        self._at = 0
+
+    def readinto(self, buffer: Any) -> int:
+        """Fill a buffer of whole rows with the next ones; return the bytes that are read."""
+        into = np.frombuffer(buffer, self._rows.dtype)
+        some = self._places[self._at : self._at + len(into)]
+        self._rows.take(some, mode="clip", out=into[: len(some)])
+        self._at += len(some)
+        return len(some) * self._rows.itemsize
 
 
 def _find(header: PlyHeader) -> tuple[Element, Columns]:

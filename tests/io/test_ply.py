@@ -77,7 +77,8 @@ def test_rows_beyond_one_chunk(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["binary_little_endian", "binary_big_endian", "ascii"])
-def test_a_sample_is_rows_of_the_whole(tmp_path: Path, encoding: str) -> None:
+def test_a_sample_is_rows_of_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoding: str) -> None:
+    monkeypatch.setattr("gsvis.io._ply_rows.CHUNK_BYTES", 4000)  # it comes in several pieces
     scene = random_scene(500)
     file = tmp_path / "scene.ply"
     file.write_bytes(ply_bytes(raw_columns(scene), encoding=encoding))
