@@ -332,7 +332,8 @@ export class ViewPage {
     this.#showState(
       now.state.kind, describeState(now.state, this.page.visitor ? null : now.gaussians), this.#header ? now.gaussians / this.#header.gaussians : 0,
     );
-    this.#blank = now.state.kind === "complete" && !now.drawn ? this.#blank + 1 : 0;
+    const isBlank = now.state.kind === "complete" && !now.drawn && this.#still === null; // else it is not sorted yet
+    this.#blank = isBlank ? this.#blank + 1 : 0;
     if (this.#blank === BLANK_LOOKS) this.#notices.say(text("say.nothing"));
     if (!this.#figures.element.hidden) this.#figures.show(now, this.#header);
   }
