@@ -57,7 +57,7 @@ __all__ = [
     "within_tile",
 ]
 
-VERSIONS = {"gather_rows": 1, "make_tile_levels": [2, STAGES["levels"]], "tile_space": 7}
+VERSIONS = {"gather_rows": 1, "make_tile_levels": [2, STAGES["levels"]], "tile_space": 8}
 
 MOST_VOXELS = 1 << 23
 """Most voxels of the space of a tile and its surroundings, unless the resolution of the tile alone needs more."""
@@ -126,7 +126,7 @@ def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
     every = max(1, len(near) // _SAMPLE)
     sample = near if every == 1 else thin_out(near, every)
     fine = _resolution(sample, near_tile(sample.means, params), params["resolution"])
-    parts = [near[near.opacities >= MIN_ALPHA]]
+    parts = _coarsen_beyond(near[near.opacities >= MIN_ALPHA], params, every)
     found: NavigableSpace | None = None
     with suppress(SceneError):
         if "walk" in params:
@@ -138,6 +138,18 @@ def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
         with suppress(SceneError):
             found = NavigableSpace.from_parts(parts, sample, resolution=params["resolution"], up=params["up"])
     return None if found is None else within_tile(found, params)
+
+
+def _coarsen_beyond(seen: Gaussians, params: Facts, every: int) -> list[Gaussians]:
+    """Return Gaussians in two parts: those in a tile and its margin, and one in `every` of the others, wider.
+
+    The others tell what the place around the tile is. There, walls count, and not how thick they are.
+    """
+    if every == 1:
+        return [seen]
+    close = near_tile(seen.means, params)
+    far = thin_out(seen[~close], every)
+    return [seen[close], replace(far, scales=far.scales * every**0.5)]
 
 
 def within_tile(found: NavigableSpace, params: Facts) -> NavigableSpace | None:
