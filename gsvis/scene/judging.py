@@ -7,7 +7,7 @@ its walls (`gsvis.scene._enclosed`), eyes stand within them. Known limit: in oth
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +17,14 @@ from gsvis.scene._enclosed import Enclosure
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.drawn_by_content import draw_by_content
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.solid import buried
+from gsvis.scene.solid import Solid
 from gsvis.scene.thinned import thin
 
 __all__ = ["draw_judges", "find_detail"]
 
 F64 = NDArray[np.float64]
 Look = Callable[[Cameras], tuple[NDArray[np.float32], NDArray[np.float32]]]
+_Sights = tuple[F64, F64]  # eyes and their targets, (P, 3) each
 
 _MIN_OPACITY = 0.1
 _SAMPLE = 20_000  # Gaussians from which density is measured
@@ -82,11 +83,9 @@ def draw_judges(
     rolled = np.searchsorted(numbers[core], rng.random(_TRIES * count)) % len(points)
     some, aims = _propose(points[rolled], middle, radius, axes, rng)
     few = thin(g, _FEW, seed=seed)[1]
-    some, aims = _step_back(few, some, aims, radius, rng)
-    free = ~buried(g, some)
-    some = some[free]
-    aims = aims[free]
-    eyes, targets = _choose(some, aims, count, above, radius, look, Enclosure(look, points, radius, axes))
+    proposed = _step_back(few, some, aims, radius, rng)
+    outside = _leave_solid(Solid.from_scene(g), proposed)
+    eyes, targets = _choose(outside, count, above, radius, look, Enclosure(look, points, radius, axes))
     if len(eyes) == 0:
         return _no_cameras(width, height, fov)
     return Cameras.look_at(eyes, targets, up=above, width=width, height=height, fov=fov)
@@ -156,10 +155,11 @@ def _propose(points: F64, middle: F64, radius: float, axes: F64, rng: np.random.
     return eyes, chosen
 
 
-def _step_back(few: Gaussians, eyes: F64, aims: F64, radius: float, rng: np.random.Generator) -> tuple[F64, F64]:
-    """Return eyes and targets (P, 3), each eye at a distance from which it likely sees its target.
+def _step_back(few: Gaussians, eyes: F64, aims: F64, radius: float, rng: np.random.Generator) -> Iterator[_Sights]:
+    """Yield eyes and targets, each eye at a distance from which it likely sees its target.
 
-    An eye moves along its line of sight to one of `_STEPS`, or stays. Eyes without such a distance are dropped.
+    An eye moves along its line of sight to one of `_STEPS`, or stays. Eyes without such a distance are dropped. Eyes
+    come in blocks, because most callers need few of them and light takes long.
     """
     back = eyes - aims
     apart = np.linalg.norm(back, axis=1)
@@ -168,47 +168,65 @@ def _step_back(few: Gaussians, eyes: F64, aims: F64, radius: float, rng: np.rand
     aims = aims[apart > 0.0]
     steps = steps[apart > 0.0]
     back /= np.linalg.norm(back, axis=1, keepdims=True)
-    free = _pass(few, aims, back, steps) >= _CLEAR
     outward = ~np.isclose(steps[:, -1:], steps[:, :-1]).any(axis=1)  # looks in or out along an axis: stays
-    free[outward, :-1] = False
-    chosen = np.where(free, rng.random(free.shape), -1.0).argmax(axis=1)
-    kept = free.any(axis=1)
-    moved = aims + steps[np.arange(len(steps)), chosen][:, None] * back
-    return moved[kept], aims[kept]
+    rolled = rng.random(steps.shape)
+    many = max(1, _AT_ONCE // max(1, len(few)))
+    for start in range(0, len(aims), many):
+        some = slice(start, start + many)
+        free = _pass(few, aims[some], back[some], steps[some]) >= _CLEAR
+        free[outward[some], :-1] = False
+        chosen = np.where(free, rolled[some], -1.0).argmax(axis=1)
+        kept = free.any(axis=1)
+        moved = aims[some] + np.take_along_axis(steps[some], chosen[:, None], axis=1) * back[some]
+        yield moved[kept], aims[some][kept]
+
+
+def _leave_solid(solid: Solid, proposed: Iterable[_Sights]) -> Iterator[_Sights]:
+    """Yield those of the eyes, with their targets, that lie inside nothing solid."""
+    for eyes, aims in proposed:
+        free = ~solid.buries(eyes)
+        yield eyes[free], aims[free]
 
 
 def _pass(few: Gaussians, aims: F64, back: F64, steps: F64) -> F64:
     """Return the share (P, S) of light that passes from near each target to each step (P, S) back along a direction."""
     turn = np.swapaxes(few.rotations(), 1, 2) / np.maximum(few.scales.astype(np.float64), 1e-300)[:, :, None]
     means = np.einsum("gij,gj->gi", turn, few.means.astype(np.float64))
+    begin = np.einsum("gij,pj->pgi", turn, aims) - means
+    along = np.einsum("gij,pj->pgi", turn, back)
+    squared = np.maximum(np.einsum("pgi,pgi->pg", along, along), 1e-300)
+    nearest = -np.einsum("pgi,pgi->pg", begin, along) / squared
+    power = np.einsum("pgi,pgi->pg", begin, begin) - squared * nearest**2
+    dark = np.log1p(-np.minimum(few.opacities * np.exp(-0.5 * np.maximum(power, 0.0)), 0.99))
     found = np.empty(steps.shape)
-    many = max(1, _AT_ONCE // max(1, len(few)))
-    for start in range(0, len(aims), many):
-        some = slice(start, start + many)
-        begin = np.einsum("gij,pj->pgi", turn, aims[some]) - means
-        along = np.einsum("gij,pj->pgi", turn, back[some])
-        squared = np.maximum(np.einsum("pgi,pgi->pg", along, along), 1e-300)
-        nearest = -np.einsum("pgi,pgi->pg", begin, along) / squared
-        power = np.einsum("pgi,pgi->pg", begin, begin) - squared * nearest**2
-        dark = np.log1p(-np.minimum(few.opacities * np.exp(-0.5 * np.maximum(power, 0.0)), 0.99))
-        for k in range(steps.shape[1]):
-            end = steps[some, k, None]
-            between = (nearest > (1.0 - _NEAREST) * end) & (nearest < end)
-            found[some, k] = np.exp(np.where(between, dark, 0.0).sum(axis=1))
+    for k in range(steps.shape[1]):
+        end = steps[:, k, None]
+        between = (nearest > (1.0 - _NEAREST) * end) & (nearest < end)
+        found[:, k] = np.exp(np.where(between, dark, 0.0).sum(axis=1))
     return found
 
 
 def _choose(
-    some: F64, aims: F64, count: int, up: F64, radius: float, look: Look, enclosure: Enclosure
+    proposed: Iterator[_Sights], count: int, up: F64, radius: float, look: Look, enclosure: Enclosure
 ) -> tuple[F64, F64]:
     """Return the first `count` eyes that see their targets, and these targets; in rooms only eyes within walls."""
     eyes = np.zeros((0, 3))
     targets = np.zeros((0, 3))
+    some = np.zeros((0, 3))
+    aims = np.zeros((0, 3))
     voters = min(_VOTERS, count)
     asked = False
     rooms = False
-    for start in range(0, len(some), voters):
+    for start in range(0, _TRIES * count, voters):
         if len(eyes) >= count:
+            break
+        while len(some) <= start + voters:
+            more = next(proposed, None)
+            if more is None:
+                break
+            some = np.concatenate([some, more[0]])
+            aims = np.concatenate([aims, more[1]])
+        if start >= len(some):
             break
         part = slice(start, start + voters)
         good = _are_free(some[part], aims[part], up, radius, look)

@@ -50,6 +50,17 @@ def test_the_same_seed_gives_the_same_eyes_and_another_gives_others() -> None:
     assert not np.array_equal(first, other)
 
 
+def test_eyes_do_not_depend_on_how_many_are_tested_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    g = platform()
+    found = []
+    for pairs in (1 << 12, 1 << 16, 1 << 24):
+        monkeypatch.setattr("gsvis.scene.judging._AT_ONCE", pairs)
+        found.append(draw_judges(g, 10, look_at(g)).viewpoints)
+    assert len(found[0]) == 10
+    for each in found[1:]:
+        np.testing.assert_allclose(each, found[0], rtol=1e-9)
+
+
 @pytest.mark.parametrize("scale", [1e-2, 1.0, 300.0])
 def test_eyes_move_with_the_scene(scale: float) -> None:
     g = platform()
