@@ -311,7 +311,7 @@ class _TakenOut(NamedTuple):
 def _take_out_of_row(
     lanes: Builder, row: Any, record: _Record, place: Vector, pixels: tuple[Vector, Vector, Vector]
 ) -> _TakenOut:
-    """Take a Gaussian out of a row, and store the light in front of it and what lies behind what is in front of it.
+    """Take a Gaussian out of a row: store the light in front of it, and add its own to the light from behind.
 
     `pixels` is (p, seen, t) as `_each_row` gives them.
     """
