@@ -69,8 +69,8 @@ class Trainer:
         config: How to train, and on which device.
         frozen: Gaussians that are rendered but never changed; they come first in the result.
         held_out: Views to measure on.
-        space: Voxels that stop light. In rooms, a step on the CPU skips frozen Gaussians that its camera cannot see. Around plants
-            and objects this saves little and can err, so give None.
+        space: Voxels that stop light. In rooms, a step on the CPU skips frozen Gaussians that its camera cannot see.
+            Around plants and objects this saves little and can err, so give None.
 
     Attributes:
         parameters: Raw values.
