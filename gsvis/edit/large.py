@@ -201,7 +201,7 @@ class _Tasks:
     @cached_property
     def _most_touching(self) -> int:
         """Most tiles that touch one."""
-        return max(len(self._build.touching(rect)) for rect in self._build.tiles if rect)
+        return max((len(self._build.touching(rect)) for rect in self._build.tiles if rect), default=0)
 
     def merge(self, rect: Rect | None) -> Task:
         """Return the task that merges a tile to few Gaussians; all merged tiles together have fewer than `most`."""
