@@ -38,7 +38,6 @@ class Evaluator:
 
     Attributes:
         source: The colors; None if they are not kept.
-        num_terms: T.
 
     Raises:
         ValueError: If `colors` is not a `SrbfColors`.
@@ -48,8 +47,6 @@ class Evaluator:
         if not isinstance(colors, SrbfColors):
             raise ValueError(f"colors: expected SrbfColors, got {type(colors).__name__}")
         self.source = colors if keep else None
-        self.num_terms = colors.num_terms
-        self._count = len(colors)
         self._space = _kernels_rgb.SPACES[colors.kind.space]
         order, starts = _layout(colors.counts)
         slots = np.zeros((int(starts[-1]) * _kernels_srbf.SLOT, _kernels_srbf.LANES), np.float32)
@@ -60,10 +57,15 @@ class Evaluator:
         self._packed = order, colors.offsets, starts, slots, base, np.ascontiguousarray(scales[:, 0])
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._packed[1]) - 1
 
     def __repr__(self) -> str:
-        return f"Evaluator({self._count:,} Gaussians, {self.num_terms:,} terms)"
+        return f"Evaluator({len(self):,} Gaussians, {self.num_terms:,} terms)"
+
+    @property
+    def num_terms(self) -> int:
+        """T, the number of terms."""
+        return int(self._packed[1][-1])
 
     def colors(
         self, means: ArrayLike, eye: ArrayLike, *, active: ArrayLike | None = None, ids: ArrayLike | None = None

@@ -359,7 +359,7 @@ def _package_content(package: Package, options: StaticOptions, progress: Progres
         if looks is not None:
             pieces["glance"] = list(cells.glances)
     said = None if looks is None else looks.as_dict()
-    return _Content(_said_of(coder), _counts_of(parts), cells, files, pieces, spheres, known, said)
+    return _Content(_describe_coded(coder), _counts_of(parts), cells, files, pieces, spheres, known, said)
 
 
 def _bytes_for_glances(options: StaticOptions, of_parts: int) -> int:
@@ -410,7 +410,7 @@ def _bare_content(target: Path, scene: Levels | Gaussians, options: StaticOption
         pieces["sets"] = found.palette.blocks()
     info = _bare_info(_harmonics_of(found, pieces.get("sets", [])), options, g)
     spheres = Spheres.from_parts(parts, g.means, gains)
-    return _Content(_said_of(coder), _counts_of(parts), cells, _bare_files(g, options), pieces, spheres, info)
+    return _Content(_describe_coded(coder), _counts_of(parts), cells, _bare_files(g, options), pieces, spheres, info)
 
 
 def _near_content(scene: Levels | Gaussians, options: StaticOptions, progress: Progress) -> _Content:
@@ -419,7 +419,7 @@ def _near_content(scene: Levels | Gaussians, options: StaticOptions, progress: P
     g = scene.level(len(scene) - 1) if isinstance(scene, Levels) else scene
     found = encode_near(g)
     progress("order", 1, 1)
-    said = _said_of_records(found.grids, len(g), found.chunks, 0, None)
+    said = _describe_records(found.grids, len(g), found.chunks, 0, None)
     if g.facts.antialiased:
         said["antialiased"] = True
     harmonics = None if found.ranges is None else {**found.ranges.as_dict(), "sets": len(g)}
@@ -434,16 +434,16 @@ def _counts_of(parts: list[I64]) -> I64:
     return np.array([len(part) for part in parts])
 
 
-def _said_of(coder: PieceCoder) -> dict[str, Any]:
+def _describe_coded(coder: PieceCoder) -> dict[str, Any]:
     """Return what `scene.json` says of coded records."""
     contents = coder.contents
     code = coder.coding.tables.to_text()
-    found = _said_of_records(contents.grids, len(contents), len(contents.table), len(contents.term_records), code)
+    found = _describe_records(contents.grids, len(contents), len(contents.table), len(contents.term_records), code)
     found["levels"][0]["name"] = contents.names[-1]
     return found | ({"antialiased": True} if contents.facts.antialiased else {})
 
 
-def _said_of_records(grids: Grids, count: int, chunks: int, terms: int, code: str | None) -> dict[str, Any]:
+def _describe_records(grids: Grids, count: int, chunks: int, terms: int, code: str | None) -> dict[str, Any]:
     """Return what `scene.json` says of `count` records; `code` is None where they are not coded."""
     layout = TermLayout.from_grids(grids)
     return {

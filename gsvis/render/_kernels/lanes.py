@@ -334,16 +334,7 @@ def _take_out_of_row(
 
 @intrinsic
 def take_out(typing_context, state, records, number, todo, place):
-    """Take one Gaussian that gets no gradients out of a tile, back to front; see `blend_backward`.
-
-    Args:
-        typing_context: numba's, unused.
-        state: (16, CHANNELS, 16) float32.
-        records: (K, 16) float32.
-        number: Which record.
-        todo: int64, rows to take it out of.
-        place: float32, place of the Gaussian in the tile's list.
-    """
+    """Take one Gaussian that gets no gradients out of a tile, back to front: `blend_backward` without the sums."""
     del typing_context
     signature = types.void(state, records, types.int64, types.int64, types.float32)
 
