@@ -215,11 +215,8 @@ class _State:
             self.sums[ids] += effects
 
     def _shown_by(self, camera: Cameras) -> Mask | None:
-        """Return the Gaussians to draw that one camera may see; None for all."""
-        if self._left_in_sight is None:
-            return None
-        own = self._left_in_sight.of(camera)
-        return own if self.stand_ins is None else np.concatenate([own, self.stand_ins.shown_by(camera)])
+        """Return the Gaussians to draw that one camera may see, stand-ins last; None for all."""
+        return None if self._drawn_in_sight is None else self._drawn_in_sight.of(camera)
 
     def _worth(self) -> F64:
         """Return the worth (K,) of each: between its mean loss over all cameras and over those that see it."""
@@ -228,18 +225,20 @@ class _State:
     def _keep(self, kept: NDArray[np.int64]) -> None:
         """Note the (K,) remaining Gaussians."""
         self.kept = kept
-        self._left_in_sight = None if self.sight is None else self.sight.only(kept)
+        self._drawn_in_sight = None if self.sight is None else self.sight.only(kept)
+        if self._drawn_in_sight is not None and self.stand_ins is not None and self.stand_ins.sight is not None:
+            self._drawn_in_sight = self._drawn_in_sight.beside(self.stand_ins.sight)
         self._rarity = self.seen[kept] ** -_FAIRNESS
 
     def cut(self, count: int) -> NDArray[np.int64]:
         """Keep the `count` Gaussians of most worth; return the others."""
         stays = most_important(self._left, self._worth(), count)
         gone = self.kept[~stays]
+        self.stand_ins = None
         self._keep(self.kept[stays])
         self.sums = _BEFORE * self.sums[stays]
         self._left = self.scene[self.kept]
         self._removals = Removals(self._left)
-        self.stand_ins = None
         return gone
 
 

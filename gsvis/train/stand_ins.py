@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.in_sight import InSight
 from gsvis.scene.navigable import NavigableSpace
@@ -52,7 +51,3 @@ class StandIns:
         """
         staying = np.bincount(self.groups[kept], chances.astype(np.float64), minlength=len(self._sizes))
         return np.clip(1.0 - staying / self._sizes, 0.0, 1.0).astype(np.float32)
-
-    def shown_by(self, camera: Cameras) -> NDArray[np.bool_]:
-        """Return a mask (M,) of the stand-ins that one camera may see."""
-        return np.ones(len(self.gaussians), bool) if self.sight is None else self.sight.of(camera)

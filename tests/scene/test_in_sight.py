@@ -7,9 +7,10 @@ import pytest
 from scipy import ndimage
 
 from gsvis.render import view_weights
+from gsvis.scene._kernels.in_sight import grow
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.in_sight import InSight, _grow
+from gsvis.scene.in_sight import InSight
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
 
@@ -79,10 +80,16 @@ def test_nearly_all_light_of_rooms_is_in_sight_and_most_gaussians_are_not(seed: 
         assert seen.mean() < 0.9
 
 
-@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 3, 1), (17, 3, 8), (20, 21, 22)])
+@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 3, 1), (17, 3, 8), (20, 21, 22), (3, 2, 64), (4, 5, 150)])
 def test_what_lies_near_is_what_lies_in_the_cube_around(shape: tuple[int, int, int]) -> None:
-    near = mask = np.random.default_rng(0).random(shape) < 0.02
+    mask = np.random.default_rng(0).random(shape) < 0.02
+    words = np.zeros((*shape[:2], -(-shape[2] // 64)), np.uint64)
+    for x, y, z in np.argwhere(mask):
+        words[x, y, z // 64] |= np.uint64(1) << np.uint64(z % 64)
     grown = 0
     for reach in (1, 2, 4, 8):
-        near, grown = _grow(near, reach - grown), reach
-        np.testing.assert_array_equal(near, ndimage.maximum_filter(mask, 2 * reach + 1, mode="constant"))
+        out = np.empty_like(words)
+        grow(words, reach - grown, np.empty_like(words), out)
+        words, grown = out, reach
+        bits = np.unpackbits(words.view(np.uint8), axis=2, bitorder="little")[:, :, : shape[2]]
+        np.testing.assert_array_equal(bits, ndimage.maximum_filter(mask, 2 * reach + 1, mode="constant"))
