@@ -128,14 +128,14 @@ def blended_pairs(g: Gaussians, camera: Cameras) -> int:
     """How many (pixel, Gaussian) pairs the image blends: the gradient of the image by ones of every Gaussian."""
     from types import SimpleNamespace
 
-    from gsvis.render._kernels import tiles as _kernels_tiles
+    from gsvis.render._kernels.lanes import TILE
     from gsvis.render.splats import View, project
 
     view = View.from_matrices(camera.viewmats[0], camera.Ks[0], camera.width, camera.height)
     arrays = SimpleNamespace(**{name: getattr(g, name) for name in ("means", "quats", "scales", "opacities", "sh0")})
     projected = project(arrays, view, antialiased=False, pairs=False)
     return int(count_pairs(projected.splats, projected.offsets, projected.members, view.tiles[0],
-                           camera.width, camera.height, _kernels_tiles.TILE))  # fmt: skip
+                           camera.width, camera.height, TILE))  # fmt: skip
 
 
 @njit

@@ -7,9 +7,11 @@ in the function that is being built, not an array: operators append instructions
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from llvmlite import ir
+from numba.core import cgutils
 
 __all__ = ["Builder", "Vector"]
 
@@ -130,6 +132,18 @@ class Builder:
     def counting(self) -> Vector:
         """Return the vector 0, 1, 2, ..."""
         return Vector(self, ir.Constant(self.type, [float(k) for k in range(self.lanes)]))
+
+    def given(self, numbers: Sequence[float]) -> Vector:
+        """Return a vector with these numbers in its lanes."""
+        return Vector(self, ir.Constant(self.type, [float(number) for number in numbers]))
+
+    def table(self, name: str, vectors: Sequence[Sequence[float]]) -> Any:
+        """Return a pointer to constant vectors, one behind the other."""
+        numbers = [float(number) for vector in vectors for number in vector]
+        kind = ir.ArrayType(self.element, len(numbers))
+        place = cgutils.global_constant(self.ir, name, ir.Constant(kind, numbers))
+        place.align = self.lanes * 4
+        return self.ir.bitcast(place, self.element.as_pointer())
 
     def splat_int(self, number: int) -> Any:
         """Return an LLVM constant with the same int32 in all lanes."""

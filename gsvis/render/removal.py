@@ -8,7 +8,6 @@ that of removing one Gaussian while all others stay. Effects do not add up for G
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -99,13 +98,12 @@ def removal_effects(
         _check.in_range("presence", there, 0.0, 1.0)
     if shown is not None and (shown.dtype != bool or shown.shape != (len(gaussians),)):
         raise ValueError(f"shown: expected bool of shape ({len(gaussians)},), got {shown.dtype} of {shown.shape}")
-    scene = _arrays_of(gaussians, shown)
     color_of = camera_colors(colors, gaussians.means, cameras)
     sums = np.zeros((len(gaussians), 3))
     progress("removal", 0, len(cameras))
     for c in range(len(cameras)):
         view = View.from_matrices(cameras.viewmats[c], cameras.Ks[c], cameras.width, cameras.height)
-        projected = project(scene, view, antialiased=gaussians.facts.antialiased, pairs=True)
+        projected = project(gaussians, view, antialiased=gaussians.facts.antialiased, pairs=True, shown=shown)
         features = color_splats(gaussians, projected, view, gaussians.sh_degree, color_of(c))
         features[:, 3] = there[projected.ids]
         residual = np.zeros(shape[1:], np.float32)
@@ -143,7 +141,7 @@ class Removals:
         """
         view = View.from_matrices(camera.viewmats[0], camera.Ks[0], camera.width, camera.height)
         antialiased = self._all.facts.antialiased
-        projected = project(_arrays_of(self._all, shown), view, antialiased=antialiased, pairs=True)
+        projected = project(self._all, view, antialiased=antialiased, pairs=True, shown=shown)
         features = np.empty((len(projected.ids), 4), np.float32)
         self._write_colors(projected.ids, view, features)
         features[:, 3] = presence[projected.ids]
@@ -179,12 +177,6 @@ def _remove_each(view: View, projected: Projected, features: F32, background: F3
         pairs,
     )
     return pairs
-
-
-def _arrays_of(g: Gaussians, shown: NDArray[np.bool_] | None) -> Any:
-    """Return the arrays that are projected; what is not shown has no opacity, which costs less than a selection."""
-    opacities = g.opacities if shown is None else np.where(shown, g.opacities, np.float32(0.0))
-    return SimpleNamespace(means=g.means, quats=g.quats, scales=g.scales, opacities=opacities, sh0=g.sh0)
 
 
 def _blend(view: View, projected: Projected, features: F32, background: F32) -> F32:

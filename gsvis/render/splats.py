@@ -18,6 +18,7 @@ from gsvis.color.sh import write_sh_colors
 from gsvis.render._kernels import order as _kernels_order
 from gsvis.render._kernels import project as _kernels_project
 from gsvis.render._kernels import tiles as _kernels_tiles
+from gsvis.render._kernels.lanes import TILE
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.lengths import length_factor
 
@@ -33,7 +34,7 @@ __all__ = [
     "project_splats",
 ]
 
-_BLOCK = 2048
+_BLOCK = 2048  # splats of a chunk at least
 _CHUNKS = 4  # chunks of the depth order for each thread
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -75,8 +76,7 @@ class View:
     @property
     def tiles(self) -> tuple[int, int]:
         """Number of tiles across and down."""
-        side = _kernels_tiles.TILE
-        return -(-self.width // side), -(-self.height // side)
+        return -(-self.width // TILE), -(-self.height // TILE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,27 +139,21 @@ def project_splats(scene: Any, view: View, *, antialiased: bool, shown: Mask | N
         shown: (S,) which of the first S Gaussians are drawn; all others are. None draws all.
     """
     n = len(scene.means)
-    blocks = -(-n // _BLOCK)
-    counts = np.zeros(blocks, np.int64)
-    ids = np.empty(n, np.int32)
-    splats = np.empty((n, 8))
-    depths = np.empty(n, np.float32)
-    size = (view.width, view.height)
+    counts = np.zeros(-(-n // _kernels_project.BLOCK), np.int64)
+    found = np.empty(n, np.int32)
     factor = length_factor(scene.means)
     means, scales, viewmat = in_usual_units(scene, view, factor)
     some = np.zeros(0, bool) if shown is None else shown
-    _kernels_project.project(
-        _check.read_only(means, scene.quats, scales, scene.opacities, some),
-        viewmat,
-        view.intrinsics,
-        *size,
-        antialiased,
-        ids,
-        splats,
-        depths,
-        counts,
-    )
-    m = _kernels_project.close_gaps(counts, ids, splats, depths)
+    arrays = _check.read_only(means, scene.quats, scales, scene.opacities, some)
+    camera = viewmat, view.intrinsics, view.width, view.height
+    _kernels_project.find_candidates(arrays, *camera, found, counts)
+    places = np.zeros(len(counts) + 1, np.int64)
+    np.cumsum(counts, out=places[1:])
+    ids = np.empty(places[-1], np.int32)
+    splats = np.empty((places[-1], 8))
+    depths = np.empty(places[-1], np.float32)
+    _kernels_project.project(arrays, *camera, antialiased, found, places, ids, splats, depths, counts)
+    m = _kernels_project.close_gaps(places, counts, ids, splats, depths)
     ids = ids[:m]
     splats = splats[:m]
     depths = depths[:m]

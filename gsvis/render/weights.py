@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.progress import Progress, silent
 from gsvis.render._kernels import tiles as _kernels_tiles
+from gsvis.render._kernels.lanes import TILE
 from gsvis.render.reference import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
 from gsvis.render.splats import Projected, View, project
 from gsvis.scene.cameras import Cameras
@@ -127,8 +128,7 @@ def contributors(
     if not (0 <= x < camera.width and 0 <= y < camera.height):
         raise ValueError(f"pixel: expected column and row inside {camera.width} x {camera.height}, got {pixel}")
     view, projected = _project(g, camera, antialiased)
-    side = _kernels_tiles.TILE
-    tile = (y // side) * view.tiles[0] + x // side
+    tile = (y // TILE) * view.tiles[0] + x // TILE
     members = projected.members[projected.offsets[tile] : projected.offsets[tile + 1]]
     splats = projected.splats[members]
     dx = x + 0.5 - splats[:, 0]
@@ -150,10 +150,9 @@ def contributors(
 
 def _tile_means(images: F32) -> NDArray[np.float64]:
     """Return (tiles, K) the mean of each tile of (H, W, K) images, row after row."""
-    side = _kernels_tiles.TILE
     means = images.astype(np.float64)
     for axis in (0, 1):
-        starts = np.arange(0, means.shape[axis], side)
+        starts = np.arange(0, means.shape[axis], TILE)
         sizes = np.diff(np.append(starts, means.shape[axis]))
         means = np.add.reduceat(means, starts, axis=axis) / np.expand_dims(sizes, (1 - axis, 2))
     return means.reshape(-1, images.shape[2])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numba
 import numpy as np
@@ -12,7 +13,8 @@ import torch
 from gsvis import _check
 from gsvis.render import GaussianTensors, rasterize, view_weights
 from gsvis.render._kernels import order as _kernels_order
-from gsvis.render._kernels import tiles as _kernels_tiles
+from gsvis.render._kernels.lanes import TILE
+from gsvis.render.reference import project_reference
 from gsvis.render.splats import Projected, View, project
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -83,7 +85,7 @@ def test_lists_of_tiles_hold_every_pair_once_front_to_back(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["apart", "wide"])
 def test_lists_of_tiles_hold_all_splats_that_reach_a_pixel(kind: str) -> None:
-    p, view, side = projected(crowd(kind)), ahead(), _kernels_tiles.TILE
+    p, view, side = projected(crowd(kind)), ahead(), TILE
     some = np.random.default_rng(0).choice(len(p.ids), 500, replace=False)
     x, y = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
     for m in some:
@@ -92,6 +94,33 @@ def test_lists_of_tiles_hold_all_splats_that_reach_a_pixel(kind: str) -> None:
         tiles = np.unique((y[seen] // side).astype(int) * view.tiles[0] + (x[seen] // side).astype(int))
         listed = [t for t in range(len(p.offsets) - 1) if m in p.members[p.offsets[t] : p.offsets[t + 1]]]
         assert set(tiles) <= set(listed)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_splats_are_those_of_the_slow_projection(antialiased: bool) -> None:
+    g = crowd("apart", 3_000)
+    rng = np.random.default_rng(3)
+    g = replace(g, opacities=np.exp2(rng.uniform(-8.5, 0.0, len(g))).astype(np.float32))  # some below 1/255
+    p = project(g, ahead(), antialiased=antialiased, pairs=False)
+    slow = project_reference(g, ahead(), antialiased=antialiased)
+    known = {int(i): k for k, i in enumerate(slow.ids)}
+    assert 0 < len(p.ids) < len(g)
+    rows = [known[int(i)] for i in p.ids]
+    np.testing.assert_allclose(p.splats[:, :2], slow.means2d[rows], rtol=1e-12, atol=1e-9)
+    conics = p.splats[:, 2:5] * (-2.0, -1.0, -2.0) / np.log2(np.e)  # log2 alpha has half the conic's squares
+    np.testing.assert_allclose(conics, slow.conics[rows], rtol=1e-5, atol=1e-6)  # float32 rotations
+    np.testing.assert_allclose(np.exp2(p.splats[:, 5]), slow.opacities[rows], rtol=1e-5 if antialiased else 1e-13)
+
+
+def test_what_is_not_shown_is_not_projected() -> None:
+    g = crowd("apart")
+    shown = np.random.default_rng(4).random(len(g) - 500) < 0.3  # the last 500 are always drawn
+    p = project(g, ahead(), antialiased=False, pairs=True, shown=shown)
+    everything = projected(g)
+    drawn = np.append(shown, np.ones(500, bool))[everything.ids]
+    assert 0 < drawn.sum() < len(drawn)
+    assert (p.ids == everything.ids[drawn]).all()
+    assert p.splats.tobytes() == everything.splats[drawn].tobytes()
 
 
 def everything(g: Gaussians) -> list[bytes]:

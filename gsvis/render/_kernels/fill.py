@@ -11,7 +11,7 @@ import numpy as np
 from gsvis._kernels.compiled import kernel, njit
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.threads import in_threads
-from gsvis.render._kernels.tiles import TILE
+from gsvis.render._kernels.lanes import TILE
 
 __all__ = ["count_fill", "sample_fill"]
 

@@ -11,7 +11,7 @@ from gsvis._kernels.compiled import kernel
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.threads import in_parts, in_threads
 from gsvis.render._kernels.lanes import gather, weigh
-from gsvis.render._kernels.tiles import BATCH, open_tile, prepare_shapes
+from gsvis.render._kernels.tiles import BATCH, find_lane, open_tile, prepare_shapes
 
 __all__ = ["gather_tiles", "mark_blended", "sum_shares"]
 
@@ -73,8 +73,9 @@ def gather_tiles(taken, splats, offsets, members, pair_of, tiles_x, v_image, out
         state, gates, records, todo, lit = room
         for r in range(rows):
             for k in range(columns):
+                block, lane = find_lane(r, k)
                 for c in range(3):
-                    state[r, 1 + c, k] = v_image[top + r, left + k, c]
+                    state[block, 1 + c, lane] = v_image[top + r, left + k, c]
         done = 0
         while done < total and lit[0] != 0:
             count = min(BATCH, total - done)

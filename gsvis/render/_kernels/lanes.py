@@ -1,17 +1,19 @@
-"""Evaluate one Gaussian on one tile with explicit vectors: find its rows, blend, weigh, and blend backward.
+"""Evaluate one Gaussian on one tile with explicit vectors: find its blocks, blend, weigh, and blend backward.
 
-A tile is 16 pixels wide, one vector, and 16 rows high. Its state is (16, CHANNELS, 16) float32. A Gaussian comes as a
-record of 16 float32: `p(x, y) = c + lx x + ly y + A x^2 + B x y + C y^2` = log2 alpha over the tile's pixels
-x, y = 0..15, which float32 knows well where a pixel sees the Gaussian, however far its center lies; then red, green,
-blue, depth; then the center from the tile's first pixel. A pixel whose transmittance is spent holds it negated.
+A tile is 16 x 16 pixels: 4 x 4 blocks, row by row, of 4 x 4 pixels, one vector each. A round Gaussian touches fewer of
+these than of rows of 16 pixels. The state of a tile is (BLOCKS, CHANNELS, LANES) float32. A Gaussian comes as a record
+of 16 float32: `p(x, y) = c + lx x + ly y + A x^2 + B x y + C y^2` = log2 alpha over the tile's pixels x, y = 0..15,
+which float32 knows well where a pixel sees the Gaussian, however far its center lies; then red, green, blue, depth;
+then the center from the tile's first pixel. A pixel whose transmittance is spent holds it negated.
 
-Records and rows are computed for a batch of Gaussians before they are blended: the branch predictor cannot foresee
-the end of the loop over rows, so what follows it must not depend on long computations.
+Records and blocks are computed for a batch of Gaussians before they are blended: the branch predictor cannot foresee
+the end of the loop over blocks, so what follows it must not depend on long computations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 from typing import Any, NamedTuple
 
 from llvmlite import ir
@@ -21,9 +23,25 @@ from numba.extending import intrinsic
 
 from gsvis._kernels.simd import Builder, Vector
 
-__all__ = ["CHANNELS", "LANES", "RECORD", "blend", "blend_backward", "find_reached_rows", "gather", "take_out", "weigh"]
+__all__ = [
+    "BLOCKS",
+    "CHANNELS",
+    "LANES",
+    "RECORD",
+    "SIDE",
+    "TILE",
+    "blend",
+    "blend_backward",
+    "find_reached_blocks",
+    "gather",
+    "take_out",
+    "weigh",
+]
 
-LANES = 16
+SIDE = 4  # pixels of a block along each side, and blocks of a tile
+LANES = SIDE * SIDE
+BLOCKS = SIDE * SIDE
+TILE = SIDE * SIDE  # pixels of a tile along each side
 CHANNELS = 8
 RECORD = 16
 T, RED, GREEN, BLUE, DEPTH, MEDIAN, STOP = range(7)
@@ -36,7 +54,8 @@ _LOG2_255 = 7.994353436858858
 _F32 = ir.FloatType()
 _I64 = ir.IntType(64)
 
-_RowBody = Callable[[Any, Vector, Vector, Vector, Vector], None]
+_COLUMNS = [[SIDE * (block % SIDE) + lane % SIDE for lane in range(LANES)] for block in range(BLOCKS)]
+_ROWS = [[SIDE * (block // SIDE) + lane // SIDE for lane in range(LANES)] for block in range(BLOCKS)]
 
 
 def _int(number: int) -> Any:
@@ -61,18 +80,20 @@ class _Record:
 
 
 @intrinsic
-def find_reached_rows(typing_context, records, number, gates, place):
-    """Return the rows of a tile where alpha of the Gaussian reaches 1/255 and whose gate lies behind `place`.
+def find_reached_blocks(typing_context, records, number, gates, place):
+    """Return the blocks of a tile where alpha of the Gaussian reaches 1/255 and whose gate lies behind `place`.
+
+    A block is reached if one of its rows of pixels is, between the centers of its first and its last pixel.
 
     Args:
         typing_context: numba's, unused.
         records: (K, 16) float32.
         number: Index of the record.
-        gates: (16,) float32, for each row the largest place at which one of its pixels may still be lit.
+        gates: (BLOCKS,) float32, for each block the largest place at which one of its pixels may still be lit.
         place: float32, place of the Gaussian in the tile's list.
 
     Returns:
-        int64, bit y set for row y.
+        int64, bit b set for block b.
     """
     del typing_context
     signature = types.int64(records, types.int64, gates, types.float32)
@@ -82,89 +103,108 @@ def find_reached_rows(typing_context, records, number, gates, place):
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[0], args[0], args[1])
         gates = context.make_array(sig.args[2])(context, builder, args[2]).data
-        y = lanes.counting()
-        slope = y.times_plus(record[4], record[1])
-        level = y.times_plus(record[5], record[2]).times_plus(y, record[0])
         # A < 0: the dilation keeps every conic positive
-        peak = (slope * lanes.splat(builder.fdiv(ir.Constant(_F32, -0.5), record.scalar(3)))).most(0.0)
-        peak = peak.least(LANES - 1.0)
-        most = record[3].times_plus(peak, slope).times_plus(peak, level)
+        steep = lanes.splat(builder.fdiv(ir.Constant(_F32, -0.5), record.scalar(3)))
+        left = lanes.given([columns[0] for columns in _COLUMNS])
+        right = lanes.given([columns[-1] for columns in _COLUMNS])
+        rows_most = []
+        for row in range(SIDE):
+            y = lanes.given([rows[0] + row for rows in _ROWS])
+            slope = y.times_plus(record[4], record[1])
+            level = y.times_plus(record[5], record[2]).times_plus(y, record[0])
+            peak = (slope * steep).most(left).least(right)
+            rows_most.append(record[3].times_plus(peak, slope).times_plus(peak, level))
+        most = reduce(Vector.most, rows_most)
         is_open = lanes.load(gates, _int(0)).compare(">", lanes.splat(args[3]))
         return (most.compare(">=", -_LOG2_255) & is_open).bits()
 
     return signature, generate
 
 
-def _each_row(lanes: Builder, state: Any, record: _Record, todo: Any, body: _RowBody) -> None:
-    """Call `body(row, y, p, seen, t)` for each row in `todo` in which a lit pixel sees the Gaussian.
+class _Pixels(NamedTuple):
+    """The pixels of one block that a Gaussian reaches, one in each lane.
 
-    `row` is the place of the row's state, `y` its number in all lanes, `p` log2 alpha, `seen` the mask of lit pixels
-    with alpha >= 1/255, `t` the transmittance.
+    Attributes:
+        state: Place of the block's state.
+        block: Its number, an int64.
+        x: Column in the tile.
+        y: Row in the tile.
+        p: log2 alpha.
+        seen: Mask of the lit pixels with alpha >= 1/255.
+        t: Transmittance.
     """
+
+    state: Any
+    block: Any
+    x: Vector
+    y: Vector
+    p: Vector
+    seen: Vector
+    t: Vector
+
+
+def _each_block(lanes: Builder, state: Any, record: _Record, todo: Any, body: Callable[[_Pixels], None]) -> None:
+    """Call `body` for each block in `todo` in which a lit pixel sees the Gaussian."""
     builder = lanes.ir
-    x = lanes.counting()
-    along = record[3].times_plus(x, record[1]).times_plus(x, record[0])
-    across = record[4].times_plus(x, record[2])
-    square = record[5]
+    columns = lanes.table("columns", _COLUMNS)
+    rows = lanes.table("rows", _ROWS)
     before = builder.block
-    head, inside, after = (builder.append_basic_block(name) for name in ("rows", "row", "done"))
+    head, inside, after = (builder.append_basic_block(name) for name in ("blocks", "block", "done"))
     builder.branch(head)
     builder.position_at_end(head)
     left = builder.phi(_I64)
     left.add_incoming(todo, before)
     builder.cbranch(builder.icmp_unsigned("!=", left, _int(0)), inside, after)
     builder.position_at_end(inside)
-    number = builder.cttz(left, ir.Constant(ir.IntType(1), 1))
-    row = builder.gep(state, [builder.mul(number, _int(CHANNELS * LANES))])
-    y = lanes.splat(builder.sitofp(number, _F32))
-    p = square.times_plus(y, across).times_plus(y, along)
-    t = lanes.load(row, _int(T * LANES))
+    block = builder.cttz(left, ir.Constant(ir.IntType(1), 1))
+    here = builder.gep(state, [builder.mul(block, _int(CHANNELS * LANES))])
+    first = builder.mul(block, _int(LANES))
+    x = lanes.load(columns, first)
+    y = lanes.load(rows, first)
+    along = record[3].times_plus(x, record[1]).times_plus(x, record[0])
+    across = record[4].times_plus(x, record[2])
+    p = record[5].times_plus(y, across).times_plus(y, along)
+    t = lanes.load(here, _int(T * LANES))
     seen = p.compare(">=", -_LOG2_255) & t.compare(">", 0.0)
     with builder.if_then(seen.any(), likely=True):
-        body(row, y, p, seen, t)
+        body(_Pixels(here, block, x, y, p, seen, t))
     left.add_incoming(builder.and_(left, builder.sub(left, _int(1))), builder.block)
     builder.branch(head)
     builder.position_at_end(after)
 
 
-def _load(lanes: Builder, row: Any, channel: int) -> Vector:
-    """Return the vector of a channel of a row."""
-    return lanes.load(row, _int(channel * LANES))
+def _load(lanes: Builder, state: Any, channel: int) -> Vector:
+    """Return the vector of a channel of a block."""
+    return lanes.load(state, _int(channel * LANES))
 
 
-def _store(lanes: Builder, vector: Vector, row: Any, channel: int) -> None:
-    """Store a vector as a channel of a row."""
-    lanes.store(vector, row, _int(channel * LANES))
+def _store(lanes: Builder, vector: Vector, state: Any, channel: int) -> None:
+    """Store a vector as a channel of a block."""
+    lanes.store(vector, state, _int(channel * LANES))
 
 
-def _pass_light(
-    lanes: Builder, pixels: tuple[Vector, Vector, Vector, Vector], row: Any, place: Any, lit: Any
-) -> tuple[Vector, Vector]:
+def _pass_light(lanes: Builder, pixels: _Pixels, place: Any, lit: Any) -> tuple[Vector, Vector]:
     """Return the weight of the Gaussian and the light it leaves, and store that light.
 
-    `pixels` is (y, p, seen, t) as `_each_row` gives them. A pixel that would fall to 1e-4 blends nothing: its light is
-    kept negated and the place of the Gaussian in STOP; the bit of its row in `lit` is cleared if it was the last one
-    lit. That happens once a pixel, so it stands behind a branch.
+    A pixel that would fall to 1e-4 blends nothing: its light is kept negated and the place of the Gaussian in STOP.
+    That stands behind no branch: a predictor cannot foresee it.
     """
-    builder = lanes.ir
-    y, p, seen, t = pixels
-    share = seen.where(p.exp2().least(0.999), 0.0) * t
+    t = pixels.t
+    share = pixels.seen.where(pixels.p.exp2().least(0.999), 0.0) * t
     after = t - share
-    weight_room, after_room = (cgutils.alloca_once(builder, lanes.type) for _ in range(2))
-    builder.store(share.value, weight_room)
-    builder.store(after.value, after_room)
-    spent = seen & after.compare("<=", 1e-4)
-    with builder.if_then(spent.any(), likely=False):
-        left = spent.where(t * -1.0, after)
-        builder.store(spent.where(0.0, share).value, weight_room)
-        builder.store(left.value, after_room)
-        _store(lanes, spent.where(lanes.splat(place), _load(lanes, row, STOP)), row, STOP)
-        number = builder.fptoui(builder.extract_element(y.value, ir.Constant(ir.IntType(32), 0)), _I64)
-        still = builder.select(left.compare(">", 0.0).any(), _int(0), builder.shl(_int(1), number))
-        builder.store(builder.and_(builder.load(lit), builder.not_(still)), lit)
-    after = Vector(lanes, builder.load(after_room))
-    _store(lanes, after, row, T)
-    return Vector(lanes, builder.load(weight_room)), after
+    spent = pixels.seen & after.compare("<=", 1e-4)
+    after = spent.where(t * -1.0, after)
+    _store(lanes, spent.where(lanes.splat(place), _load(lanes, pixels.state, STOP)), pixels.state, STOP)
+    _store(lanes, after, pixels.state, T)
+    darken(lanes, pixels.block, after, lit)
+    return spent.where(0.0, share), after
+
+
+def darken(lanes: Builder, block: Any, light: Vector, lit: Any) -> None:
+    """Clear the bit of a block in `lit` if none of its pixels has light."""
+    builder = lanes.ir
+    with builder.if_then(builder.not_(light.compare(">", 0.0).any()), likely=False):
+        builder.store(builder.and_(builder.load(lit), builder.not_(builder.shl(_int(1), block))), lit)
 
 
 @intrinsic
@@ -173,11 +213,11 @@ def blend(typing_context, state, records, number, todo, lit, place):
 
     Args:
         typing_context: numba's, unused.
-        state: (16, CHANNELS, 16) float32.
+        state: (BLOCKS, CHANNELS, LANES) float32.
         records: (K, 16) float32.
         number: Which record.
-        todo: int64, rows to blend it into.
-        lit: (1,) int64, rows with light left; bits are cleared as it is spent.
+        todo: int64, blocks to blend it into.
+        lit: (1,) int64, blocks with light left; bits are cleared as it is spent.
         place: float32, place of the Gaussian in the tile's list.
     """
     del typing_context
@@ -185,22 +225,21 @@ def blend(typing_context, state, records, number, todo, lit, place):
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
-        data, lit_rows = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
+        data, lit_blocks = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
         features = [record[6 + k] for k in range(4)]
 
-        def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
-            """Emit the code for one row."""
-            weight, after = _pass_light(lanes, (y, p, seen, t), row, args[5], lit_rows)
+        def body(pixels: _Pixels) -> None:
+            """Emit the code for one block."""
+            weight, after = _pass_light(lanes, pixels, args[5], lit_blocks)
             for channel, value in zip((RED, GREEN, BLUE, DEPTH), features, strict=True):
-                _store(lanes, weight.times_plus(value, _load(lanes, row, channel)), row, channel)
+                _store(lanes, weight.times_plus(value, _load(lanes, pixels.state, channel)), pixels.state, channel)
             # `after` is negative where light was spent without blending: that is no crossing.
-            halved = t.compare(">", 0.5) & after.compare("<=", 0.5) & after.compare(">", 0.0)
-            with builder.if_then(halved.any(), likely=False):
-                _store(lanes, halved.where(features[3], _load(lanes, row, MEDIAN)), row, MEDIAN)
+            halved = pixels.t.compare(">", 0.5) & after.compare("<=", 0.5) & after.compare(">", 0.0)
+            _store(lanes, halved.where(features[3], _load(lanes, pixels.state, MEDIAN)), pixels.state, MEDIAN)
 
-        _each_row(lanes, data, record, args[3], body)
+        _each_block(lanes, data, record, args[3], body)
         return context.get_dummy_value()
 
     return signature, generate
@@ -212,11 +251,11 @@ def weigh(typing_context, state, records, number, todo, lit):
 
     Args:
         typing_context: numba's, unused.
-        state: (16, CHANNELS, 16) float32, of which T alone is used.
+        state: (BLOCKS, CHANNELS, LANES) float32, of which T alone is used.
         records: (K, 16) float32.
         number: Which record.
-        todo: int64, rows to take it into.
-        lit: (1,) int64, rows with light left; bits are cleared as it is spent.
+        todo: int64, blocks to take it into.
+        lit: (1,) int64, blocks with light left; bits are cleared as it is spent.
 
     Returns:
         Two float32.
@@ -227,18 +266,18 @@ def weigh(typing_context, state, records, number, todo, lit):
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
-        data, lit_rows = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
+        data, lit_blocks = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
         largest, total = (cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(2))
 
-        def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
-            """Emit the code for one row."""
-            weight, _ = _pass_light(lanes, (y, p, seen, t), row, ir.Constant(_F32, 0.0), lit_rows)
+        def body(pixels: _Pixels) -> None:
+            """Emit the code for one block."""
+            weight, _ = _pass_light(lanes, pixels, ir.Constant(_F32, 0.0), lit_blocks)
             builder.store(Vector(lanes, builder.load(largest)).most(weight).value, largest)
             builder.store((Vector(lanes, builder.load(total)) + weight).value, total)
 
-        _each_row(lanes, data, record, args[3], body)
+        _each_block(lanes, data, record, args[3], body)
         results = [Vector(lanes, builder.load(largest)).largest(), Vector(lanes, builder.load(total)).sum()]
         return context.make_tuple(builder, pair, results)
 
@@ -251,11 +290,11 @@ def gather(typing_context, state, records, number, todo, lit, sums, pair):
 
     Args:
         typing_context: numba's, unused.
-        state: (16, CHANNELS, 16) float32; RED, GREEN and BLUE stay as they are.
+        state: (BLOCKS, CHANNELS, LANES) float32; RED, GREEN and BLUE stay as they are.
         records: (K, 16) float32.
         number: Which record.
-        todo: int64, rows to take it into.
-        lit: (1,) int64, rows with light left; bits are cleared as it is spent.
+        todo: int64, blocks to take it into.
+        lit: (1,) int64, blocks with light left; bits are cleared as it is spent.
         sums: (P, 4) float32, receives the three sums and a zero in row `pair`.
         pair: Which row.
     """
@@ -264,19 +303,19 @@ def gather(typing_context, state, records, number, todo, lit, sums, pair):
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
-        data, lit_rows, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4, 5))
+        data, lit_blocks, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4, 5))
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
         rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(3)]
 
-        def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
-            """Emit the code for one row."""
-            weight, _ = _pass_light(lanes, (y, p, seen, t), row, ir.Constant(_F32, 0.0), lit_rows)
+        def body(pixels: _Pixels) -> None:
+            """Emit the code for one block."""
+            weight, _ = _pass_light(lanes, pixels, ir.Constant(_F32, 0.0), lit_blocks)
             for room, channel in zip(rooms, (RED, GREEN, BLUE), strict=True):
                 held = Vector(lanes, builder.load(room))
-                builder.store(weight.times_plus(_load(lanes, row, channel), held).value, room)
+                builder.store(weight.times_plus(_load(lanes, pixels.state, channel), held).value, room)
 
-        _each_row(lanes, data, record, args[3], body)
+        _each_block(lanes, data, record, args[3], body)
         totals = lanes.sums([Vector(lanes, builder.load(room)) for room in rooms])
         lanes.store_first(totals, 4, out, builder.mul(args[6], _int(4)))
         return context.get_dummy_value()
@@ -285,7 +324,7 @@ def gather(typing_context, state, records, number, todo, lit, sums, pair):
 
 
 class _TakenOut(NamedTuple):
-    """One row of a Gaussian that is taken out of a tile, each pixel in a lane.
+    """One block of a Gaussian that is taken out of a tile, each pixel in a lane.
 
     Attributes:
         live: Mask of the pixels that blended it.
@@ -308,27 +347,22 @@ class _TakenOut(NamedTuple):
     behind: Vector
 
 
-def _take_out_of_row(
-    lanes: Builder, row: Any, record: _Record, place: Vector, pixels: tuple[Vector, Vector, Vector]
-) -> _TakenOut:
-    """Take a Gaussian out of a row: store the light in front of it, and add its own to the light from behind.
-
-    `pixels` is (p, seen, t) as `_each_row` gives them.
-    """
-    p, seen, t = pixels
-    response = p.exp2()
-    live = seen & place.compare("<", _load(lanes, row, STOP))
+def _take_out_of_block(lanes: Builder, record: _Record, place: Vector, pixels: _Pixels) -> _TakenOut:
+    """Take a Gaussian out of a block: store the light in front of it, and add its own to the light from behind."""
+    state = pixels.state
+    response = pixels.p.exp2()
+    live = pixels.seen & place.compare("<", _load(lanes, state, STOP))
     alpha = live.where(response.least(0.999), 0.0)
     opening = lanes.constant(1.0) / (lanes.constant(1.0) - alpha)
-    front = t * opening
-    gradients = [_load(lanes, row, channel) for channel in (RED, GREEN, BLUE, DEPTH)]
+    front = pixels.t * opening
+    gradients = [_load(lanes, state, channel) for channel in (RED, GREEN, BLUE, DEPTH)]
     shine = record[6] * gradients[0]
     for k in range(1, 4):
         shine = record[6 + k].times_plus(gradients[k], shine)
     weight = alpha * front
-    behind = _load(lanes, row, MEDIAN)
-    _store(lanes, weight.times_plus(shine, behind), row, MEDIAN)
-    _store(lanes, front, row, T)
+    behind = _load(lanes, state, MEDIAN)
+    _store(lanes, weight.times_plus(shine, behind), state, MEDIAN)
+    _store(lanes, front, state, T)
     return _TakenOut(live, response, weight, front, opening, gradients, shine, behind)
 
 
@@ -345,11 +379,11 @@ def take_out(typing_context, state, records, number, todo, place):
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
         place = lanes.splat(args[4])
 
-        def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
-            """Emit the code for one row."""
-            _take_out_of_row(lanes, row, record, place, (p, seen, t))
+        def body(pixels: _Pixels) -> None:
+            """Emit the code for one block."""
+            _take_out_of_block(lanes, record, place, pixels)
 
-        _each_row(lanes, data, record, args[3], body)
+        _each_block(lanes, data, record, args[3], body)
         return context.get_dummy_value()
 
     return signature, generate
@@ -364,10 +398,10 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
 
     Args:
         typing_context: numba's, unused.
-        state: (16, CHANNELS, 16) float32.
+        state: (BLOCKS, CHANNELS, LANES) float32.
         records: (K, 16) float32.
         number: Which record.
-        todo: int64, rows to take it out of.
+        todo: int64, blocks to take it out of.
         place: float32, place of the Gaussian in the tile's list; pixels whose STOP it reaches never blended it.
         sums: (P, 12) float32, receives in row `pair` the gradients by red, green, blue, depth; then, with
             q = dL/dalpha * alpha (0 where alpha is capped) and d = center - pixel, the sums of q, q dx, q dy, q dx^2,
@@ -385,7 +419,7 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
         data, totals_at = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 5))
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
-        dx = record[10] - lanes.counting()
+        center_x = record[10]
         center_y = record[11]
         place = lanes.splat(args[4])
         rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(10)]
@@ -395,14 +429,15 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
             held = Vector(lanes, builder.load(rooms[k]))
             builder.store((held + value if factor is None else value.times_plus(factor, held)).value, rooms[k])
 
-        def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
-            """Emit the code for one row."""
-            out = _take_out_of_row(lanes, row, record, place, (p, seen, t))
+        def body(pixels: _Pixels) -> None:
+            """Emit the code for one block."""
+            out = _take_out_of_block(lanes, record, place, pixels)
             by_alpha = out.front * out.shine - out.opening * out.behind
             for k, gradient in enumerate(out.gradients):
                 add(k, out.weight, gradient)
             q = (out.live & out.response.compare("<", 0.999)).where(by_alpha * out.response, 0.0)
-            dy = center_y - y
+            dx = center_x - pixels.x
+            dy = center_y - pixels.y
             qx = q * dx
             qy = q * dy
             add(4, q)
@@ -412,7 +447,7 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
             add(8, qx, dy)
             add(9, qy, dy)
 
-        _each_row(lanes, data, record, args[3], body)
+        _each_block(lanes, data, record, args[3], body)
         totals = lanes.sums([Vector(lanes, builder.load(room)) for room in rooms])
         lanes.store_first(totals, 12, totals_at, builder.mul(args[6], _int(12)))
         return context.get_dummy_value()

@@ -1,4 +1,4 @@
-"""Kernels that project Gaussians to the image, and carry gradients back. One Gaussian at a time, float64.
+"""Kernels that project Gaussians to the image, and carry gradients back. Float64.
 
 Per visible Gaussian, `splats` (M, 8) float64 holds its center (x, y) in pixels; A, B, C of log2 alpha = lo + A dx^2 +
 B dx dy + C dy^2; lo = log2 opacity; and the half width and half height of the box where alpha >= 1/255.
@@ -20,17 +20,16 @@ NEAR = 0.01
 DILATION = 0.3
 LOG2E = 1.4426950408889634
 FUSED = {"contract"}  # multiply-adds in one rounding; nothing else is relaxed
-_BLOCK = 2048
+BLOCK = 2048  # Gaussians that one thread takes at a time
+_ROWS = 11  # numbers of a Gaussian: mean, scales, quaternion, opacity
+_LOG2_255 = 7.994353436858858
+_ROOT_HALF = 0x3FE6A09E667F3BCD  # the bits of the root of 1/2
 _MOST_REACH = 3.33  # sqrt(2 ln 255): where the most opaque Gaussian falls below 1/255
 
 
 @njit(cache=True, fastmath=FUSED, inline="always")
-def _rotation(i, quats, r):
-    """Write the rotation matrix of quaternion i, of any length, into r (3, 3)."""
-    w = np.float64(quats[i, 0])
-    x = np.float64(quats[i, 1])
-    y = np.float64(quats[i, 2])
-    z = np.float64(quats[i, 3])
+def _rotation(w, x, y, z):
+    """Return the rows of the rotation matrix of a quaternion of any length, one behind the other."""
     s = 2.0 / (w * w + x * x + y * y + z * z)
     xx = s * x * x
     yy = s * y * y
@@ -41,15 +40,7 @@ def _rotation(i, quats, r):
     wx = s * w * x
     wy = s * w * y
     wz = s * w * z
-    r[0, 0] = 1.0 - yy - zz
-    r[0, 1] = xy - wz
-    r[0, 2] = xz + wy
-    r[1, 0] = xy + wz
-    r[1, 1] = 1.0 - xx - zz
-    r[1, 2] = yz - wx
-    r[2, 0] = xz - wy
-    r[2, 1] = yz + wx
-    r[2, 2] = 1.0 - xx - yy
+    return 1.0 - yy - zz, xy - wz, xz + wy, xy + wz, 1.0 - xx - zz, yz - wx, xz - wy, yz + wx, 1.0 - xx - yy
 
 
 @njit(cache=True, fastmath=FUSED, inline="always")
@@ -68,7 +59,12 @@ def _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r
     margin_y = 0.15 * height / fy
     u = min(max(x / z, -cx / fx - margin_x), (width - cx) / fx + margin_x)
     v = min(max(y / z, -cy / fy - margin_y), (height - cy) / fy + margin_y)
-    _rotation(i, quats, r)
+    quat = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
+    rotation = _rotation(quat[0], quat[1], quat[2], quat[3])
+    for k in range(3):
+        r[k, 0] = rotation[3 * k]
+        r[k, 1] = rotation[3 * k + 1]
+        r[k, 2] = rotation[3 * k + 2]
     jx = fx / z
     jy = fy / z
     for k in range(3):  # the axes of the Gaussian, in the camera's frame
@@ -82,19 +78,23 @@ def _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r
 
 
 @uncounted(fastmath=FUSED)
-def _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, first, last, out):
-    """Write the indices of Gaussians first..last whose footprint may reach the image into out; return their number.
+def _find_in_block(block, scene, viewmat, intrinsics, width, height, found):
+    """Write the candidates of one block from its place on; return their number. See `find_candidates`.
 
     The bound on the footprint leaves out the rotation. It is compared before the division by z, without a branch.
     """
+    means, _, scales, opacities, shown = scene
     fx, fy, cx, cy = intrinsics
     tan_x = max(cx, width - cx) / fx + 0.15 * width / fx  # where the Jacobian is clamped
     tan_y = max(cy, height - cy) / fy + 0.15 * height / fy
     wide = _MOST_REACH * fx * np.sqrt(1.0 + tan_x * tan_x)
     high = _MOST_REACH * fy * np.sqrt(1.0 + tan_y * tan_y)
     least = np.float32(1.0 / 255.0)
-    found = 0
-    for i in range(first, last):
+    first = block * BLOCK
+    at = first
+    for i in range(first, min(len(means), first + BLOCK)):
+        if i < len(shown) and not shown[i]:
+            continue
         p = np.float64(means[i, 0])
         q = np.float64(means[i, 1])
         r = np.float64(means[i, 2])
@@ -106,9 +106,22 @@ def _find_candidates(means, scales, opacities, viewmat, intrinsics, width, heigh
         half_y = high * size + _MOST_REACH * z
         missed = (opacities[i] < least) | (z <= NEAR) | (x + half_x < 0.0) | (x - half_x > width * z)
         missed = missed | (y + half_y < 0.0) | (y - half_y > height * z)
-        out[found] = i
-        found += not missed
-    return found
+        found[at] = i
+        at += not missed
+    return at - first
+
+
+@in_threads(lambda *arguments: len(arguments[-1]))
+@kernel
+def find_candidates(taken, scene, viewmat, intrinsics, width, height, found, counts):
+    """Write the Gaussians that may reach the image into found (N,), those of block b from 2048 b on: counts[b] of them.
+
+    `scene` is means, quats, scales, opacities, and which of the first S Gaussians are drawn (S,); all others are.
+    """
+    block = take_next(taken)
+    while block < len(counts):
+        counts[block] = _find_in_block(block, scene, viewmat, intrinsics, width, height, found)
+        block = take_next(taken)
 
 
 @njit(cache=True, fastmath=FUSED, inline="always")
@@ -124,77 +137,166 @@ def _covariance(m):
 
 
 @uncounted(fastmath=FUSED, error_model="numpy")
-def _project_block(
-    block, scene, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts, candidates, m, r
-):
-    """Project the Gaussians of one block; see `project`. `candidates` (2048,), m (2, 3) and r (3, 3) are buffers."""
-    means, quats, scales, opacities, shown = scene
-    fx, fy, cx, cy = intrinsics
-    at = block * _BLOCK
-    last = min(len(means), (block + 1) * _BLOCK)
-    found = _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, at, last, candidates)
-    for k in range(found):
+def _log2(x):
+    """Return log2 of a positive float64, within 3e-16 of its size or of 1: a series that loops over vectors can use.
+
+    References:
+        log x = 2 artanh((x - 1) / (x + 1)), for x between the roots of 1/2 and 2.
+    """
+    number = np.float64(x)
+    bits = number.view(np.int64)
+    exponent = (bits - _ROOT_HALF) >> 52
+    rest = np.int64(bits - (exponent << 52))
+    part = rest.view(np.float64)
+    s = (part - 1.0) / (part + 1.0)
+    q = s * s
+    series = 1.0 / 15.0 + q * (1.0 / 17.0 + q * (1.0 / 19.0))
+    series = 1.0 / 9.0 + q * (1.0 / 11.0 + q * (1.0 / 13.0 + q * series))
+    series = 1.0 + q * (1.0 / 3.0 + q * (1.0 / 5.0 + q * (1.0 / 7.0 + q * series)))
+    return exponent + 2.0 * LOG2E * s * series
+
+
+@uncounted
+def _entries(viewmat):
+    """Return the first three rows of a pose as numbers, which no array can change."""
+    x = viewmat[0]
+    y = viewmat[1]
+    z = viewmat[2]
+    return x[0], x[1], x[2], x[3], y[0], y[1], y[2], y[3], z[0], z[1], z[2], z[3]
+
+
+@uncounted
+def _gather(scene, candidates, rows):
+    """Write the arrays of candidates into rows (_ROWS * 2048,), one behind the other."""
+    means, quats, scales, opacities, _ = scene
+    for k in range(len(candidates)):
         i = candidates[k]
-        if i < len(shown) and not shown[i]:
-            continue
-        x, y, z, _, _ = _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r)
-        xx, xy, yy, det = _covariance(m)
+        for e in range(3):
+            rows[e * BLOCK + k] = means[i, e]
+            rows[(3 + e) * BLOCK + k] = scales[i, e]
+        for e in range(4):
+            rows[(6 + e) * BLOCK + k] = quats[i, e]
+        rows[10 * BLOCK + k] = opacities[i]
+
+
+@uncounted(fastmath=FUSED, error_model="numpy")
+def _find_splats(rows, count, viewmat, intrinsics, width, height, antialiased):
+    """Project gathered Gaussians: the eight entries of a splat, depth and opacity go to the rows from 0 on.
+
+    One array and no branch, so that the compiler makes vectors of Gaussians.
+    """
+    fx, fy, cx, cy = intrinsics
+    a00, a01, a02, a03, a10, a11, a12, a13, a20, a21, a22, a23 = _entries(viewmat)
+    least_u = -cx / fx - 0.15 * width / fx
+    most_u = (width - cx) / fx + 0.15 * width / fx
+    least_v = -cy / fy - 0.15 * height / fy
+    most_v = (height - cy) / fy + 0.15 * height / fy
+    for j in range(count):
+        p = rows[j]
+        q = rows[BLOCK + j]
+        r = rows[2 * BLOCK + j]
+        x = a00 * p + a01 * q + a02 * r + a03
+        y = a10 * p + a11 * q + a12 * r + a13
+        z = a20 * p + a21 * q + a22 * r + a23
+        u = x / z
+        v = y / z
+        clamped_u = min(max(u, least_u), most_u)
+        clamped_v = min(max(v, least_v), most_v)
+        turned = _rotation(rows[6 * BLOCK + j], rows[7 * BLOCK + j], rows[8 * BLOCK + j], rows[9 * BLOCK + j])
+        r00, r01, r02, r10, r11, r12, r20, r21, r22 = turned
+        jx = fx / z
+        jy = fy / z
+        s = rows[3 * BLOCK + j]
+        c = a20 * r00 + a21 * r10 + a22 * r20
+        m00 = jx * s * (a00 * r00 + a01 * r10 + a02 * r20 - clamped_u * c)
+        m10 = jy * s * (a10 * r00 + a11 * r10 + a12 * r20 - clamped_v * c)
+        s = rows[4 * BLOCK + j]
+        c = a20 * r01 + a21 * r11 + a22 * r21
+        m01 = jx * s * (a00 * r01 + a01 * r11 + a02 * r21 - clamped_u * c)
+        m11 = jy * s * (a10 * r01 + a11 * r11 + a12 * r21 - clamped_v * c)
+        s = rows[5 * BLOCK + j]
+        c = a20 * r02 + a21 * r12 + a22 * r22
+        m02 = jx * s * (a00 * r02 + a01 * r12 + a02 * r22 - clamped_u * c)
+        m12 = jy * s * (a10 * r02 + a11 * r12 + a12 * r22 - clamped_v * c)
+        xx = m00 * m00 + m01 * m01 + m02 * m02
+        xy = m00 * m10 + m01 * m11 + m02 * m12
+        yy = m10 * m10 + m11 * m11 + m12 * m12
+        p = m01 * m12 - m02 * m11
+        q = m02 * m10 - m00 * m12
+        r = m00 * m11 - m01 * m10
+        det = p * p + q * q + r * r  # without cancellation
         full = det + DILATION * (xx + yy) + DILATION * DILATION
-        opacity = np.float64(opacities[i])
+        opacity = rows[10 * BLOCK + j]
         if antialiased:
-            opacity *= np.sqrt(det / full)
-        if opacity * 255.0 < 1.0 or not full < np.inf:
-            continue
-        reach = np.sqrt(2.0 * np.log(255.0 * opacity)) * (1.0 + 1e-6)
+            opacity = opacity * np.sqrt(det / full)
         xx = xx + DILATION
         yy = yy + DILATION
-        half_x = reach * np.sqrt(xx)
-        half_y = reach * np.sqrt(yy)
-        u = fx * x / z + cx
-        v = fy * y / z + cy
+        level = _log2(opacity)
+        reach = np.sqrt(2.0 / LOG2E * max(level + _LOG2_255, 0.0)) * (1.0 + 1e-6)
+        rows[j] = fx * u + cx
+        rows[BLOCK + j] = fy * v + cy
+        rows[2 * BLOCK + j] = -0.5 * LOG2E * yy / full
+        rows[3 * BLOCK + j] = LOG2E * xy / full
+        rows[4 * BLOCK + j] = -0.5 * LOG2E * xx / full
+        rows[5 * BLOCK + j] = level
+        rows[6 * BLOCK + j] = reach * np.sqrt(xx)
+        rows[7 * BLOCK + j] = reach * np.sqrt(yy)
+        rows[8 * BLOCK + j] = z
+        rows[9 * BLOCK + j] = opacity if full < np.inf else 0.0
+
+
+@uncounted
+def _keep_visible(candidates, rows, width, height, ids, splats, depths):
+    """Write the projected candidates that reach a pixel; return their number."""
+    at = 0
+    for k in range(len(candidates)):
+        u = rows[k]
+        v = rows[BLOCK + k]
+        half_x = rows[6 * BLOCK + k]
+        half_y = rows[7 * BLOCK + k]
+        if not rows[9 * BLOCK + k] * 255.0 >= 1.0:
+            continue
         if u + half_x < 0.5 or u - half_x > width - 0.5 or v + half_y < 0.5 or v - half_y > height - 0.5:
             continue
-        ids[at] = i
-        splats[at, 0] = u
-        splats[at, 1] = v
-        splats[at, 2] = -0.5 * LOG2E * yy / full
-        splats[at, 3] = LOG2E * xy / full
-        splats[at, 4] = -0.5 * LOG2E * xx / full
-        splats[at, 5] = np.log2(opacity)
-        splats[at, 6] = half_x
-        splats[at, 7] = half_y
-        depths[at] = z
+        ids[at] = candidates[k]
+        for e in range(8):
+            splats[at, e] = rows[e * BLOCK + k]
+        depths[at] = rows[8 * BLOCK + k]
         at += 1
-    counts[block] = at - block * _BLOCK
+    return at
 
 
 @in_threads(lambda *arguments: len(arguments[-1]))
-@kernel(fastmath=FUSED, error_model="numpy")
-def project(taken, scene, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts):
-    """Project all N Gaussians; block b keeps its visible ones at 2048 b, counts[b] of them.
+@kernel(error_model="numpy")
+def project(taken, scene, viewmat, intrinsics, width, height, antialiased, found, places, ids, splats, depths, counts):
+    """Project the candidates of all blocks; block b keeps its visible ones from places[b] on, counts[b] of them.
 
-    `scene` is means, quats, scales, opacities, and which of the first S Gaussians are drawn (S,); all others are.
+    `scene`, `found` and `counts` are those of `find_candidates`; places (blocks + 1,) are the sums of `counts`.
     """
-    m = np.zeros((2, 3))
-    r = np.empty((3, 3))
     block = take_next(taken)
-    candidates = np.empty(_BLOCK if block < len(counts) else 0, np.int64)
+    rows = np.empty(_ROWS * BLOCK if block < len(counts) else 0)
     while block < len(counts):
-        _project_block(
-            block, scene, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts, candidates, m, r
+        first = block * BLOCK
+        candidates = found[first : first + counts[block]]
+        begin = places[block]
+        end = places[block + 1]
+        _gather(scene, candidates, rows)
+        _find_splats(rows, len(candidates), viewmat, intrinsics, width, height, antialiased)
+        counts[block] = _keep_visible(
+            candidates, rows, width, height, ids[begin:end], splats[begin:end], depths[begin:end]
         )
         block = take_next(taken)
 
 
 @kernel
-def close_gaps(counts, ids, splats, depths):
+def close_gaps(places, counts, ids, splats, depths):
     """Close the gaps that `project` leaves between blocks, in place; return the number of splats.
 
     In place, because new memory costs more than the moves: a page of it is cleared by the system before it is written.
     """
     at = 0
     for block in range(len(counts)):
-        first = block * _BLOCK
+        first = places[block]
         for k in range(counts[block]):
             ids[at] = ids[first + k]
             depths[at] = depths[first + k]

@@ -20,12 +20,11 @@ from gsvis._kernels.compiled import kernel, uncounted
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.simd import Builder, Vector
 from gsvis._kernels.threads import in_threads
-from gsvis.render._kernels.lanes import LANES, STOP, T, _each_row, _load, _Record, _store
-from gsvis.render._kernels.tiles import BATCH, open_tile, prepare
+from gsvis.render._kernels.lanes import LANES, STOP, T, _each_block, _load, _Pixels, _Record, _store, darken
+from gsvis.render._kernels.tiles import BATCH, find_lane, open_tile, prepare
 
 __all__ = ["add_pairs", "remove_tiles", "sum_squares"]
 
-TILE = LANES
 SPENT = 1e-6
 """Transmittance at which light counts as spent; lower than an image's, as a removal can let 1000 times more through."""
 
@@ -45,11 +44,11 @@ def _dim(typing_context, state, records, number, todo, lit, place):
 
     Args:
         typing_context: numba's, unused.
-        state: (16, CHANNELS, 16) float32.
+        state: (BLOCKS, CHANNELS, LANES) float32.
         records: (K, 16) float32.
         number: Index of the record.
-        todo: int64, rows that the Gaussian reaches.
-        lit: (1,) int64, rows with light left; bits are cleared as it is spent.
+        todo: int64, blocks that the Gaussian reaches.
+        lit: (1,) int64, blocks with light left; bits are cleared as it is spent.
         place: float32, place of the Gaussian in the tile's list.
     """
     del typing_context
@@ -57,29 +56,22 @@ def _dim(typing_context, state, records, number, todo, lit, place):
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
-        data, lit_rows = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
+        data, lit_blocks = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
 
-        def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
-            """Emit the code for one row."""
-            after = seen.where(t - record[PRESENT] * p.exp2().least(0.999) * t, t)
-            spent = seen & after.compare("<=", SPENT)
-            room = cgutils.alloca_once(builder, lanes.type)
-            builder.store(after.value, room)
-            with builder.if_then(spent.any(), likely=False):
-                left = spent.where(after * -1.0, after)
-                builder.store(left.value, room)
-                behind = lanes.splat(args[5]) + 1.0
-                _store(lanes, spent.where(behind, _load(lanes, row, STOP)), row, STOP)
-                index = builder.fptoui(builder.extract_element(y.value, ir.Constant(ir.IntType(32), 0)), ir.IntType(64))
-                one = ir.Constant(ir.IntType(64), 1)
-                none = ir.Constant(ir.IntType(64), 0)
-                dark = builder.select(left.compare(">", 0.0).any(), none, builder.shl(one, index))
-                builder.store(builder.and_(builder.load(lit_rows), builder.not_(dark)), lit_rows)
-            _store(lanes, Vector(lanes, builder.load(room)), row, T)
+        def body(pixels: _Pixels) -> None:
+            """Emit the code for one block."""
+            t = pixels.t
+            after = pixels.seen.where(t - record[PRESENT] * pixels.p.exp2().least(0.999) * t, t)
+            spent = pixels.seen & after.compare("<=", SPENT)
+            after = spent.where(after * -1.0, after)
+            behind = lanes.splat(args[5]) + 1.0
+            _store(lanes, spent.where(behind, _load(lanes, pixels.state, STOP)), pixels.state, STOP)
+            _store(lanes, after, pixels.state, T)
+            darken(lanes, pixels.block, after, lit_blocks)
 
-        _each_row(lanes, data, record, args[3], body)
+        _each_block(lanes, data, record, args[3], body)
         return context.get_dummy_value()
 
     return signature, generate
@@ -94,10 +86,10 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
 
     Args:
         typing_context: numba's, unused.
-        state: (16, CHANNELS, 16) float32.
+        state: (BLOCKS, CHANNELS, LANES) float32.
         records: (K, 16) float32.
         number: Index of the record.
-        todo: int64, rows that the Gaussian reaches.
+        todo: int64, blocks that the Gaussian reaches.
         place: float32, place of the Gaussian in the tile's list; pixels whose STOP it reaches never blended it.
         sums: (P, 4) float32, receives in row `pair` the sums over pixels and channels of |d|, d^2 and
             d (2 r + (2 p - 1) d), where d is a value without the Gaussian minus the value with all of it, r its
@@ -118,28 +110,29 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
         excess = present.times_plus(2.0, -1.0)
         rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(3)]
 
-        def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
-            """Emit the code for one row."""
-            live = seen & place.compare("<", _load(lanes, row, STOP))
-            alpha = live.where(p.exp2().least(0.999), 0.0)
+        def body(pixels: _Pixels) -> None:
+            """Emit the code for one block."""
+            state = pixels.state
+            live = pixels.seen & place.compare("<", _load(lanes, state, STOP))
+            alpha = live.where(pixels.p.exp2().least(0.999), 0.0)
             held = present * alpha
-            front = t / (lanes.constant(1.0) - held)
+            front = pixels.t / (lanes.constant(1.0) - held)
             weight = alpha * front
             totals = [Vector(lanes, builder.load(room)) for room in rooms]
             for channel in range(3):
-                behind = _load(lanes, row, BEHIND[channel])
+                behind = _load(lanes, state, BEHIND[channel])
                 further = behind - color[channel]
                 change = weight * further
-                residual = _load(lanes, row, RESIDUAL[channel])
+                residual = _load(lanes, state, RESIDUAL[channel])
                 totals[0] = totals[0] + change.most(change * -1.0)
                 totals[1] = change.times_plus(change, totals[1])
                 totals[2] = change.times_plus(residual.times_plus(2.0, excess * change), totals[2])
-                _store(lanes, (held * -1.0).times_plus(further, behind), row, BEHIND[channel])
+                _store(lanes, (held * -1.0).times_plus(further, behind), state, BEHIND[channel])
             for room, total in zip(rooms, totals, strict=True):
                 builder.store(total.value, room)
-            _store(lanes, front, row, T)
+            _store(lanes, front, state, T)
 
-        _each_row(lanes, data, record, args[3], body)
+        _each_block(lanes, data, record, args[3], body)
         results = lanes.sums([Vector(lanes, builder.load(room)) for room in rooms])
         lanes.store_first(results, 4, out, builder.mul(args[6], ir.Constant(ir.IntType(64), 4)))
         return context.get_dummy_value()
@@ -164,14 +157,15 @@ def _remove_some(state, records, count, todo, start, out, pair_of, first):
 @uncounted
 def _turn(state, gates, residual, background, left, top, rows, columns):
     """Prepare the state at the back of a tile for the pass to the front."""
-    gates[:rows] = -1.0
+    gates[:] = -1.0
     for r in range(rows):
         for k in range(columns):
-            state[r, 0, k] = abs(state[r, 0, k])
+            block, lane = find_lane(r, k)
+            state[block, 0, lane] = abs(state[block, 0, lane])
             for c in range(3):
-                state[r, BEHIND[c], k] = background[c]
-                state[r, RESIDUAL[c], k] = residual[top + r, left + k, c]
-            gates[r] = max(gates[r], state[r, 6, k])
+                state[block, BEHIND[c], lane] = background[c]
+                state[block, RESIDUAL[c], lane] = residual[top + r, left + k, c]
+            gates[block] = max(gates[block], state[block, 6, lane])
 
 
 @in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)

@@ -13,42 +13,53 @@ from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.shared import share, take_next
 from gsvis._kernels.threads import in_parts, in_threads, on_numba_threads
 from gsvis.render._kernels.lanes import (
+    BLOCKS,
     CHANNELS,
     LANES,
     RECORD,
+    SIDE,
+    TILE,
     blend,
     blend_backward,
-    find_reached_rows,
+    find_reached_blocks,
     take_out,
     weigh,
 )
 
-TILE = LANES
 _LOG2_255 = 7.994353436858858
 BLOCK = 1 << 11  # splats that one thread takes at a time
 BATCH = 32  # Gaussians prepared at a time
 _MARGIN = 1e-3  # pixels; a surplus tile costs little, a missing tile shows as an edge
 
 
+@uncounted(error_model="numpy")
+def _outline(splat):
+    """Return numbers of the ellipse on which a splat has alpha 1/255, for `_span`.
+
+    With d = pixel - center, it is a dx^2 + b dx dy + c dy^2 = level. Returns the dy at which its right side bulges
+    most, 1 / 2a, b, b^2 - 4ac and 4a level.
+    """
+    a = -splat[2]
+    b = -splat[3]
+    c = -splat[4]
+    return -b * splat[6] / (2.0 * c), 0.5 / a, b, b * b - 4.0 * a * c, 4.0 * a * (splat[5] + _LOG2_255)
+
+
 @uncounted
-def _span(splat, low, high):
+def _span(splat, outline, low, high):
     """Return the least and largest x at which the splat reaches alpha 1/255 between the lines y = low and y = high.
 
     The right side of an ellipse bulges most where its bounding box touches it, the left side opposite; on a band that
     does not hold that height, it reaches furthest at the nearer line.
     """
-    a = -splat[2]
-    b = -splat[3]
-    c = -splat[4]
-    level = splat[5] + _LOG2_255
-    bulge = -b * splat[6] / (2.0 * c)
+    bulge, half, b, narrowing, widest = outline
     low = max(low - splat[1], -splat[7])
     high = min(high - splat[1], splat[7])
     right = min(max(bulge, low), high)
     left = min(max(-bulge, low), high)
-    furthest = np.sqrt(max(b * b * right * right - 4.0 * a * (c * right * right - level), 0.0))
-    nearest = np.sqrt(max(b * b * left * left - 4.0 * a * (c * left * left - level), 0.0))
-    return splat[0] + (-b * left - nearest) / (2.0 * a), splat[0] + (-b * right + furthest) / (2.0 * a)
+    furthest = np.sqrt(max(narrowing * right * right + widest, 0.0))
+    nearest = np.sqrt(max(narrowing * left * left + widest, 0.0))
+    return splat[0] - half * (b * left + nearest), splat[0] - half * (b * right - furthest)
 
 
 @uncounted
@@ -89,12 +100,13 @@ def _meet_block(block, splats, room, tiles_x, tiles_y, met, spans):
     for m in range(block * BLOCK, min(len(splats), (block + 1) * BLOCK)):
         splat = splats[m]
         x0, x1, y0, y1 = _box(splat, tiles_x, tiles_y)
+        outline = _outline(splat)
         spans[m, 0] = at
         for ty in range(y0, y1 + 1):
             first = x0
             last = x1
             if x0 < x1 and y0 < y1:  # else the box touches just the tiles the ellipse does
-                low, high = _span(splat, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
+                low, high = _span(splat, outline, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
                 first, last = _tiles_between(low - _MARGIN, high + _MARGIN, tiles_x)
                 first = max(x0, first)
                 last = min(x1, last)
@@ -200,32 +212,42 @@ def _allocate(count):
     return room[first : first + count]
 
 
+@uncounted
+def find_lane(row, column):
+    """Return the block and the lane, in the state of a tile, of the pixel in a row and a column of the tile."""
+    block = row // SIDE * SIDE + column // SIDE
+    return block, row % SIDE * SIDE + column % SIDE
+
+
 @njit(cache=True)
 def open_tile(tile, offsets, tiles_x, width, height):
     """Return where a tile lies, where its list is, and what it is drawn with.
 
     Returns:
         The first column, the first row, and the numbers of rows and columns inside the image. Then the place of the
-        list among the members, and its length. Then five arrays: the state (TILE, CHANNELS, TILE), with full light
-        inside the image, none outside, and nothing blended; the gates (TILE,) of its rows; room for the records of
-        prepared splats (BATCH, RECORD) and for the rows that they reach (BATCH,); and the rows with light left (1,).
+        list among the members, and its length. Then five arrays: the state (BLOCKS, CHANNELS, LANES), with full light
+        inside the image, none outside, and nothing blended; the gates (BLOCKS,); room for the records of prepared
+        splats (BATCH, RECORD) and for the blocks that they reach (BATCH,); and the blocks with light left (1,).
     """
     left = (tile % tiles_x) * TILE
     top = (tile // tiles_x) * TILE
     rows = min(TILE, height - top)
     columns = min(TILE, width - left)
-    state = _allocate(np.int64(TILE * CHANNELS * TILE)).reshape((TILE, CHANNELS, TILE))
-    gates = _allocate(np.int64(TILE))
-    gates[:rows] = np.inf
-    gates[rows:] = -1.0
+    state = _allocate(np.int64(BLOCKS * CHANNELS * LANES)).reshape((BLOCKS, CHANNELS, LANES))
+    gates = _allocate(np.int64(BLOCKS))
+    lit = np.zeros(1, np.int64)
+    gates[:] = -1.0
+    for block in range(BLOCKS):
+        for lane in range(LANES):
+            state[block, 6, lane] = np.inf
     for r in range(rows):
         for k in range(columns):
-            state[r, 0, k] = 1.0
-        for k in range(TILE):
-            state[r, 6, k] = np.inf
+            block, lane = find_lane(r, k)
+            state[block, 0, lane] = 1.0
+            gates[block] = np.inf
+            lit[0] |= 1 << block
     records = _allocate(np.int64(BATCH * RECORD)).reshape((BATCH, RECORD))
     todo = np.empty(BATCH, np.int64)
-    lit = np.full(1, (1 << rows) - 1)
     first = offsets[tile]
     total = offsets[tile + 1] - offsets[tile]
     return (left, top, rows, columns), (first, total), (state, gates, records, todo, lit)
@@ -251,7 +273,7 @@ def _shape(splats, m, left, top, records, j):
 
 @uncounted
 def prepare(splats, features, members, first, place, count, left, top, gates, records, todo):
-    """Write the records and reached rows of `count` splats of a tile's list; the list starts at `first`."""
+    """Write the records and reached blocks of `count` splats of a tile's list; the list starts at `first`."""
     for j in range(count):
         m = np.int64(members[first + place + j])
         prefetch(splats, 8 * m)
@@ -263,7 +285,7 @@ def prepare(splats, features, members, first, place, count, left, top, gates, re
         for e in range(4):
             records[j, 6 + e] = features[m, e]
     for j in range(count):
-        todo[j] = find_reached_rows(records, j, gates, np.float32(place + j))
+        todo[j] = find_reached_blocks(records, j, gates, np.float32(place + j))
 
 
 @uncounted
@@ -276,7 +298,7 @@ def prepare_shapes(splats, members, first, place, count, left, top, gates, recor
     for j in range(count):
         _shape(splats, members[first + place + j], left, top, records, j)
     for j in range(count):
-        todo[j] = find_reached_rows(records, j, gates, np.float32(place + j))
+        todo[j] = find_reached_blocks(records, j, gates, np.float32(place + j))
 
 
 @in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
@@ -312,16 +334,17 @@ def blend_tiles(
                 blend(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
         for r in range(rows):
             for k in range(columns):
-                left_over = abs(state[r, 0, k])
+                block, lane = find_lane(r, k)
+                left_over = abs(state[block, 0, lane])
                 y = top + r
                 x = left + k
                 transmittance[y, x] = left_over
                 for c in range(3):
-                    image[y, x, c] = state[r, 1 + c, k] + left_over * background[c]
+                    image[y, x, c] = state[block, 1 + c, lane] + left_over * background[c]
                 covered = np.float32(1.0) - left_over
-                depth[y, x] = state[r, 4, k] / covered if covered > 0.0 else np.float32(0.0)
-                median[y, x] = state[r, 5, k]
-                stop_at[y, x] = state[r, 6, k]
+                depth[y, x] = state[block, 4, lane] / covered if covered > 0.0 else np.float32(0.0)
+                median[y, x] = state[block, 5, lane]
+                stop_at[y, x] = state[block, 6, lane]
         tile = take_next(taken)
 
 
@@ -355,24 +378,25 @@ def blend_tiles_backward(
         place, (first, total), room = open_tile(tile, offsets, tiles_x, width, height)
         left, top, rows, columns = place
         state, gates, records, todo, _ = room
-        gates[:rows] = -1.0
+        gates[:] = -1.0
         for r in range(rows):
             for k in range(columns):
+                block, lane = find_lane(r, k)
                 y = top + r
                 x = left + k
                 t = transmittance[y, x]
                 covered = np.float32(1.0) - t
-                state[r, 0, k] = t
+                state[block, 0, lane] = t
                 by_t = -v_alpha[y, x]
                 for c in range(3):
-                    state[r, 1 + c, k] = v_image[y, x, c]
+                    state[block, 1 + c, lane] = v_image[y, x, c]
                     by_t += v_image[y, x, c] * background[c]
                 if covered > 0.0:  # depth = sum(w z) / covered
-                    state[r, 4, k] = v_depth[y, x] / covered
+                    state[block, 4, lane] = v_depth[y, x] / covered
                     by_t += v_depth[y, x] * depth[y, x] / covered
-                state[r, 5, k] = t * by_t
-                state[r, 6, k] = stop_at[y, x]
-                gates[r] = max(gates[r], stop_at[y, x])
+                state[block, 5, lane] = t * by_t
+                state[block, 6, lane] = stop_at[y, x]
+                gates[block] = max(gates[block], stop_at[y, x])
         reached = int(min(np.float64(gates.max()), np.float64(total)))  # no pixel goes beyond
         for k in range(first + reached, first + total):
             if members[k] >= still:
