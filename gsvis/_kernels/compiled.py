@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import event
+from numba.core import event, registry
 
 from gsvis.files.temporary import private_folder
 
-__all__ = ["inner", "kernel", "njit", "uncounted"]
+__all__ = ["inner", "kernel", "load_numba", "njit", "uncounted"]
 
 _LOG = logging.getLogger(__name__)
 _PLACE = "NUMBA_CACHE_DIR"
@@ -108,6 +108,12 @@ uncounted = partial(inner, _nrt=False)
 
 It may allocate nothing and return no array. Counting is atomic, so it costs some nanoseconds for each array and call.
 """
+
+
+def load_numba() -> None:
+    """Load what Numba needs before its first kernel, 0.2 s, so that it does not wait for a kernel to do so."""
+    registry.cpu_target.typing_context.refresh()
+    registry.cpu_target.target_context.refresh()
 
 
 class _Pause(event.Listener):  # type: ignore[misc]  # numba has no types

@@ -14,6 +14,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import quote
@@ -24,11 +25,14 @@ from gsvis.cli.serve import log_to_stderr
 from gsvis.cli.terminal import Status, print_json, say
 from gsvis.cli.where import check_where
 from gsvis.errors import GsvisError
+from gsvis.files.apart import call_apart
 from gsvis.files.shown import shown_name
 from gsvis.files.temporary import temporary_folder
 from gsvis.package.manifest import MANIFEST
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
+
     from gsvis.export.start import Visit
     from gsvis.export.static import StaticOptions
     from gsvis.scene.gaussians import Gaussians
@@ -37,6 +41,8 @@ if TYPE_CHECKING:
     from gsvis.scene.source import Source
     from gsvis.serve import Server
     from gsvis.serve.scenes import Scenes, ServedScene
+
+    Sample = Future[tuple[Source, int] | None]
 
 __all__ = ["run_view"]
 
@@ -48,6 +54,7 @@ _LARGE = 500_000  # Gaussians of a scene of which a sample is shown first
 
 def run_view(command: View) -> None:
     """Open a scene, serve it to this machine, and open the browser."""
+    sample = _read_sample(command)
     from gsvis.serve import TextLines
     from gsvis.serve.scenes import Scenes
 
@@ -55,7 +62,7 @@ def run_view(command: View) -> None:
     with ExitStack() as stack:
         stack.enter_context(log_to_stderr(TextLines(), logging.DEBUG if command.output.debug else logging.WARNING))
         with _uncollected():
-            shown = _open(command, stack)
+            shown = _open(command, sample, stack)
         command = shown.command
         scene = shown.serve()
         scenes = stack.enter_context(Scenes([scene]))
@@ -135,8 +142,38 @@ class _Opened(NamedTuple):
         return scene
 
 
-def _open(command: View, stack: ExitStack) -> _Opened:
-    """Return what to serve: a package, a world and a static scene as they are, any other from a temporary folder."""
+def _read_sample(command: View) -> Sample | None:
+    """Begin to read a sample of a PLY in a thread of its own; None for other scenes, and for those to prepare.
+
+    The sample is not there yet, and None if the scene is not large. The thread imports nothing: what it needs is
+    imported before, so that two threads never import modules that need each other.
+    """
+    if command.prepare is not None or Path(command.scene).suffix.lower() != ".ply":
+        return None
+    import_module("numpy.random")
+    import_module("gsvis.io.ply")
+    from gsvis.io.sources import glance_at
+
+    return call_apart(partial(copy_context().run, glance_at, command.scene, _LARGE), "gsvis-sample")
+
+
+def _import_meanwhile() -> None:
+    """Import what finds where people stand, while another thread reads the file."""
+    for name in ("scipy.ndimage", "scipy.spatial", "gsvis.export.static", "gsvis.export.start"):
+        import_module(name)
+    from gsvis._kernels.compiled import load_numba
+
+    load_numba()
+
+
+def _open(command: View, sample: Sample | None, stack: ExitStack) -> _Opened:
+    """Return what to serve: a package, a world and a static scene as they are, any other from a temporary folder.
+
+    Args:
+        command: The command.
+        sample: What `_read_sample` returns.
+        stack: Removes temporary folders at the end.
+    """
     from gsvis.serve.sites import is_site
     from gsvis.world.world import is_world
 
@@ -152,12 +189,14 @@ def _open(command: View, stack: ExitStack) -> _Opened:
     from gsvis.cli.source import open_source
     from gsvis.export.later_walk import promise_walk
     from gsvis.export.static import write_static
-    from gsvis.io.sources import check_source, glance_at, title_of
+    from gsvis.io.sources import check_source, title_of
 
     walk = _check_scene(command)
     with Status() as status:
         check_source(command.scene, command.lod)
-        glance = None if command.prepare is not None else glance_at(command.scene, _LARGE)
+        if sample is not None:
+            _import_meanwhile()
+        glance = None if sample is None else sample.result()
         source = open_source(command.scene, command.lod, status) if glance is None else glance[0]
         folder = Path(stack.enter_context(temporary_folder()))
         settled, plan = settle_stay(command.where, source, walk, status, quiet=command.output.json)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
 from gsvis.jobs.in_order import in_order
-from gsvis.render import rasterize, view_weights
+from gsvis.render import view_weights
+from gsvis.render.weights import draw_and_weigh
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.core import Core, find_core
 from gsvis.scene.gaussians import Gaussians
@@ -253,13 +254,15 @@ def _worth(scene: Gaussians, space: NavigableSpace, subject: _Subject, cameras: 
 
     def worth(c: int) -> float:
         """Return how much one view shows."""
-        summed = view_weights(scene, cameras[c]).summed[0]
+        if subject.is_object:
+            image, summed = draw_and_weigh(scene, cameras[c])
+            brightness = image.mean(axis=2)
+            shown = sum(float(np.abs(np.diff(brightness, axis=axis)).sum()) for axis in (0, 1))
+        else:
+            summed = view_weights(scene, cameras[c]).summed[0]
+            shown = float(np.count_nonzero(summed >= _SEEN) * summed.sum())  # nobody looks into the void
         near = np.linalg.norm(scene.means - eyes[c], axis=1) < _NEAR * distances[c]
         blocked = float(summed[near].sum() / max(float(summed.sum()), 1e-9))
-        shown = float(np.count_nonzero(summed >= _SEEN) * summed.sum())  # nobody looks into the void
-        if subject.is_object:
-            brightness = rasterize(scene, cameras[c]).images[0].mean(axis=2)
-            shown = sum(float(np.abs(np.diff(brightness, axis=axis)).sum()) for axis in (0, 1))
         return shown * max(0.0, 1.0 - _IN_THE_WAY * blocked)
 
     return np.array(list(in_order(worth, range(len(cameras)))))

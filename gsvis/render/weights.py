@@ -16,11 +16,11 @@ from gsvis.progress import Progress, silent
 from gsvis.render._kernels import tiles as _kernels_tiles
 from gsvis.render._kernels.lanes import TILE
 from gsvis.render.reference import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
-from gsvis.render.splats import Projected, View, project
+from gsvis.render.splats import Projected, View, blend, color_splats, project
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["PixelContributors", "ViewWeights", "contributors", "share_out", "view_weights"]
+__all__ = ["PixelContributors", "ViewWeights", "contributors", "draw_and_weigh", "share_out", "view_weights"]
 
 F32 = NDArray[np.float32]
 
@@ -79,6 +79,27 @@ def view_weights(
         _kernels_tiles.join_weights(projected.order, projected.ids, projected.first_pair, pairs, largest[c], summed[c])
         progress("views", c + 1, len(cameras))
     return ViewWeights(largest, summed)
+
+
+def draw_and_weigh(g: Gaussians, camera: Cameras) -> tuple[F32, F32]:
+    """Return the image of a camera before black, and the summed weights in it, from one projection.
+
+    Both are those of `rasterize` and `view_weights`, to the byte.
+
+    Args:
+        g: N Gaussians.
+        camera: One camera.
+
+    Returns:
+        (H, W, 3) RGB, and (N,) float32 sums of the weights over the pixels.
+    """
+    view, projected = _project(g, camera, None)
+    image = blend(projected, view, color_splats(g, projected, view, g.sh_degree, None), np.zeros(3, np.float32))[0]
+    largest = np.zeros(len(g), np.float32)
+    summed = np.zeros(len(g), np.float32)
+    pairs = _weigh_pairs(view, projected)
+    _kernels_tiles.join_weights(projected.order, projected.ids, projected.first_pair, pairs, largest, summed)
+    return image, summed
 
 
 def share_out(g: Gaussians, camera: Cameras, images: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -200,9 +200,14 @@ def large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
+def opened_as(command: View, stack: ExitStack) -> view._Opened:
+    """Return what a command serves."""
+    return view._open(command, view._read_sample(command), stack)
+
+
 def test_a_large_file_is_shown_in_part_until_the_whole_is_there(large: Path) -> None:
     with ExitStack() as stack:
-        opened = view._open(View(str(large)), stack)
+        opened = opened_as(View(str(large)), stack)
         assert opened.in_part
         assert "of 1,000 Gaussians; all of them follow" in opened.remarks[-1]
         sample = opened.serve()
@@ -225,7 +230,7 @@ def test_a_large_file_that_is_damaged_further_on_stays_in_part(large: Path, caps
     data[second : second + 4] = np.float32(np.nan).tobytes()
     large.write_bytes(data)
     with ExitStack() as stack:
-        opened = view._open(View(str(large)), stack)
+        opened = opened_as(View(str(large)), stack)
         sample = opened.serve()
         with Scenes([sample]) as scenes:
             assert opened.later is not None
@@ -234,6 +239,25 @@ def test_a_large_file_that_is_damaged_further_on_stays_in_part(large: Path, caps
             assert sample.gaussians == opened.in_part
             assert not sample.preparing
     assert "is shown in part" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda data: data[: len(data) * 2 // 3], "truncated"),
+        (lambda data: data[:40], "end_header"),
+        (lambda data: data[:-4] + np.float32(np.nan).tobytes(), "finite"),
+    ],
+)
+def test_a_large_file_that_is_damaged_where_it_is_sampled_ends_in_one_line(
+    large: Path, spoil: Callable[[bytes], bytes], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    large.write_bytes(spoil(large.read_bytes()))
+    assert main(["view", str(large), "--no-browser", "--json", "--port", "0"]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert said in printed.err
+    assert len(printed.err.strip().splitlines()) == 1
 
 
 def test_a_sample_that_cannot_be_written_ends_the_command_in_one_line(
@@ -267,7 +291,7 @@ def test_a_title_is_the_name_of_the_file_without_its_ending(tmp_path: Path, name
 
 def test_a_large_file_that_is_prepared_meanwhile_is_read_whole(large: Path) -> None:
     with ExitStack() as stack:
-        assert not view._open(View(str(large), prepare="made.gsvis"), stack).in_part
+        assert not opened_as(View(str(large), prepare="made.gsvis"), stack).in_part
 
 
 @pytest.mark.parametrize(

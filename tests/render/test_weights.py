@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from gsvis.render import GaussianTensors, contributors, rasterize, view_weights
 from gsvis.render.reference_torch import rasterize_reference
+from gsvis.render.weights import draw_and_weigh
 from gsvis.scene.cameras import Cameras
 from tests.raycast.scenes import KINDS, scene
 
@@ -26,6 +29,17 @@ def test_weights_equal_the_reference(kind: str) -> None:
         want = rasterize_reference(tensors, cameras.viewmats[c], cameras.Ks[c], 40, 30)
         np.testing.assert_allclose(weights.largest[c], want.largest_weights, atol=2e-4)
         np.testing.assert_allclose(weights.summed[c], want.summed_weights, atol=5e-3, rtol=1e-4)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_projection_draws_and_weighs_as_two(kind: str, antialiased: bool) -> None:
+    g = scene(kind)
+    g = g.with_facts(replace(g.facts, antialiased=antialiased))
+    for camera in (views()[0], views()[2]):
+        image, summed = draw_and_weigh(g, camera)
+        np.testing.assert_array_equal(image, rasterize(g, camera).images[0])
+        np.testing.assert_array_equal(summed, view_weights(g, camera).summed[0])
 
 
 def test_summed_weights_make_up_alpha() -> None:
