@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.threads import in_parts
 
 
 @inner
@@ -47,13 +48,14 @@ def _holds(low, high, i, points, p):
     )
 
 
+@in_parts(lambda low, *_: len(low))
 @kernel
-def find_holding(low, high, points, bins, side, out):
+def find_holding(begin, end, low, high, points, bins, side, out):
     """Write into out (K,) which of the boxes (K, 3) hold a point."""
     origin, per_unit, starts = bins
     first = np.empty(3, np.int64)
     last = np.empty(3, np.int64)
-    for i in range(len(low)):
+    for i in range(begin, end):
         _span(low, high, i, origin, per_unit, side, first, last)
         found = False
         for x in range(first[0], last[0] + 1):
