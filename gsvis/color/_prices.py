@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from gsvis.color.fit import FitConfig
 
-__all__ = ["MOST_FITS", "Curves", "Prices", "find_prices"]
+__all__ = ["MOST_FITS", "Curves", "Prices", "count_terms", "find_prices"]
 
 F64 = NDArray[np.float64]
 
@@ -102,13 +102,19 @@ def _error(curves: Curves, prices: Prices) -> float:
     """Return the sum of importance times error at prices."""
     total = 0.0
     for costs, wide in curves:
-        best = _counts(costs, wide, prices)
+        best = count_terms(costs, wide, prices)
         total += float(costs[np.arange(len(costs)), best].sum())
     return total
 
 
-def _counts(costs: F64, wide: F64, prices: Prices) -> NDArray[np.int64]:
-    """Return (n,) numbers of terms that are worth their prices."""
+def count_terms(costs: F64, wide: F64, prices: Prices) -> NDArray[np.int64]:
+    """Return (n,) numbers of terms that are worth their prices.
+
+    Args:
+        costs: (n, K + 1) importance times error with 0, 1, ... K terms.
+        wide: (n, K + 1) sums of the widths.
+        prices: The prices.
+    """
     spent = np.arange(costs.shape[1]) + prices.width * wide
     counts: NDArray[np.int64] = (costs + prices.term * spent).argmin(axis=1)
     return counts
@@ -119,7 +125,7 @@ def _least_price(curves: Curves, width: float, mean_terms: float, count: int) ->
 
     def mean(price: float) -> float:
         """Return the mean number of terms at a price."""
-        return sum([float(_counts(*part, Prices(price, width)).sum()) for part in curves]) / count
+        return sum([float(count_terms(*part, Prices(price, width)).sum()) for part in curves]) / count
 
     high = max(float(costs[:, 0].max()) for costs, _ in curves)
     low = high * 1e-15

@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.color._assemble import Terms, assemble
-from gsvis.color._prices import MOST_FITS, Curves, Prices, find_prices
+from gsvis.color._prices import MOST_FITS, Curves, Prices, count_terms, find_prices
 from gsvis.color._pursuit import Pursuit, SplitFit
+from gsvis.color._work import foresee_work, parts_done
 from gsvis.color.srbf import MAX_DECAY, SrbfColors
 from gsvis.color.variants import DEFAULT_VARIANT, VARIANTS, variant
 from gsvis.jobs.in_order import in_order
@@ -184,7 +185,7 @@ def fit_srbf(
         config: Variant, number of terms, effort.
         importance: (N,) >= 0, weight of the error of each Gaussian, such as its summed squared blending weights
             over many views; equal by default. It decides which Gaussians get the terms.
-        progress: Called with stage "price", then "fit"; counts Gaussians.
+        progress: Called with stage "price", then "fit"; counts Gaussians, in "fit" by their share of the work.
 
     Raises:
         ValueError: If a shape or a value does not fit; the message names the argument.
@@ -197,7 +198,7 @@ def fit_srbf(
     weigh = _weigher(directions, n)
     counts = np.ones(n) if importance is None else _check.floats("importance", importance, (n,), np.float64)
     _check.in_range("importance", counts, 0.0, np.inf)
-    prices = _sampled_prices(config, g, weigh, counts, progress)
+    prices, work = _sampled_prices(config, g, weigh, counts, progress)
     pursuit = Pursuit(replace(config, width_price=prices.width))
     terms: list[Terms] = []
     unseen = 0
@@ -210,10 +211,10 @@ def fit_srbf(
         return assemble(config, fitted, pursuit.directions), int((weights.max(axis=1) <= 0.0).sum())
 
     parts = [slice(start, min(start + _CHUNK, n)) for start in range(0, n, _CHUNK)]
-    for part, (found, hidden) in zip(parts, in_order(fit_part, parts), strict=True):
+    for done, (found, hidden) in zip(parts_done(work, parts), in_order(fit_part, parts), strict=True):
         terms.append(found)
         unseen += hidden
-        progress("fit", part.stop, n)
+        progress("fit", done, n)
     return _join(config, terms, prices, unseen)
 
 
@@ -252,36 +253,40 @@ def _fit(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, price: flo
     return pursuit.fit(sample_colors(g), weights, np.where(nowhere, 0.0, importance), price, nowhere)
 
 
-def _sampled_prices(config: FitConfig, g: Gaussians, weigh: WeighFaces, importance: F64, progress: Progress) -> Prices:
-    """Return the prices at which Gaussians have the wanted number of terms on average.
+def _sampled_prices(
+    config: FitConfig, g: Gaussians, weigh: WeighFaces, importance: F64, progress: Progress
+) -> tuple[Prices, F64]:
+    """Return the prices at which Gaussians have the wanted number of terms on average, and the work (N,) of each.
 
     Uses the error curves of a sample: every k-th Gaussian by importance, because few Gaussians hold most of it.
     """
     if config.mean_terms is None or config.max_terms == 0 or len(g) == 0:
-        return Prices(0.0, config.width_price)
+        return Prices(0.0, config.width_price), np.ones(len(g))
     order = np.argsort(importance, kind="stable")
     ids = np.sort(order[np.linspace(0, len(g) - 1, min(len(g), _SAMPLE)).astype(np.int64)])
 
     done = 0
     total = MOST_FITS * len(ids)
+    latest: list[Curves] = []  # of each part of the sample
     progress("price", 0, total)
 
     def fit_sample(limited: FitConfig, price: float) -> Curves:
         """Return the curves of the sample at a price of a term."""
         nonlocal done
         pursuit = Pursuit(limited)
-        curves: Curves = []
+        latest.clear()
         for start in range(0, len(ids), _CHUNK):
             chosen = ids[start : start + _CHUNK]
             fitted = _fit(pursuit, g[chosen], weigh(chosen), importance[chosen], price)
-            curves.extend(fitted.curves(importance[chosen]))
+            latest.append(fitted.curves(importance[chosen]))
             done += len(chosen)
             progress("price", done, total)
-        return curves
+        return [curve for part in latest for curve in part]
 
     found = find_prices(fit_sample, config, _CAUTION * config.mean_terms, len(ids))
     progress("price", total, total)
-    return found
+    terms = np.concatenate([sum(count_terms(*curve, found) for curve in part) for part in latest])
+    return found, foresee_work(importance, importance[ids], terms)
 
 
 def _join(config: FitConfig, parts: list[Terms], prices: Prices, unseen: int) -> SrbfFit:

@@ -13,6 +13,7 @@ from gsvis.color import VARIANTS, FitConfig, SrbfFit, evaluate_along, fit_srbf, 
 from gsvis.color._kernels.fit import fit_lobes
 from gsvis.color._kernels.refine import add_lobe, find_products, refine, work
 from gsvis.color._pursuit import Pursuit
+from gsvis.color._work import foresee_work, parts_done
 from gsvis.color.fit import sample_colors
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import face_directions, face_shares, icosphere
@@ -171,6 +172,41 @@ def test_mean_terms_are_met(wanted: float) -> None:
     assert abs(fit.colors.counts.mean() - wanted) < 0.05
     heavy = importance > np.quantile(importance, 0.9)
     assert fit.colors.counts[heavy].mean() > fit.colors.counts[~heavy].mean()
+
+
+def test_progress_counts_work_where_terms_lie_at_the_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gsvis.color.fit._CHUNK", 64)
+    importance = np.repeat([1.0, 1e-9], 64)
+    said: list[tuple[str, int, int]] = []
+    config = FitConfig(mean_terms=2.0, max_terms=8, width_price=0.0)
+    fit = fit_srbf(scene(128), config=config, importance=importance, progress=lambda *call: said.append(call))
+    assert fit.colors.counts[:64].mean() > 3.0
+    assert fit.colors.counts[64:].mean() < 0.1
+    assert (said[-3], said[-1]) == (("fit", 0, 128), ("fit", 128, 128))
+    assert 0.7 * 128 < said[-2][1] < 128
+
+
+def test_foreseen_work_is_that_of_gaussians_as_important() -> None:
+    rng = np.random.default_rng(0)
+    importance = rng.uniform(size=20_000) ** 4
+    terms = np.minimum(20.0 * importance, 12.0).astype(np.int64)
+    exact = 1.0 + 0.8 * terms + 0.08 * terms**2
+    order = np.argsort(-importance)
+    sample = order[::5]
+    work = foresee_work(importance, importance[sample], terms[sample])
+    parts = [slice(start, min(start + 900, 20_000)) for start in range(0, 20_000, 900)]
+    done = parts_done(work[order], parts)
+    truth = np.cumsum(exact[order])[[part.stop - 1 for part in parts]] / exact.sum()
+    np.testing.assert_allclose(np.array(done) / 20_000, truth, atol=0.01)
+    assert done[-1] == 20_000
+
+
+def test_even_work_counts_gaussians() -> None:
+    parts = [slice(0, 4), slice(4, 8), slice(8, 9)]
+    assert parts_done(np.ones(9), parts) == [4, 8, 9]
+    assert parts_done(np.ones(0), []) == []
+    same = foresee_work(np.ones(5), np.ones(3), np.array([0, 3, 6]))
+    assert np.ptp(same) == 0.0
 
 
 def test_terms_go_where_they_count() -> None:
