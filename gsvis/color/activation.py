@@ -7,6 +7,9 @@ knows nothing about visibility.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -25,6 +28,7 @@ _ROUNDING = 1e-4  # relative error of a change through color conversion, besides
 _STEPS = 4.0 * float(np.finfo(np.float32).eps)
 _MARGIN = 4e-6  # error of logarithms stored as float32
 _WIDEST = 1e30
+_BLOCK = 1 << 20  # terms that are prepared at a time
 
 
 class Activation:
@@ -55,7 +59,7 @@ class Activation:
         self.epsilon = float(epsilon)
         self._means = _check.floats("means", means, ("N", 3))
         _check.same_length(colors=colors.base, means=self._means)
-        self._centers = unit_vectors(colors.centers).astype(np.float32)
+        self._centers = _in_blocks(unit_vectors, colors.centers, (colors.num_terms, 3))
         self._amplitudes = colors.amplitudes()
         self._change_bounds = _change_bounds(colors, self._amplitudes)
         self._logs = self._above_epsilon()
@@ -153,14 +157,28 @@ class Activation:
 
     def _above_epsilon(self) -> F32:
         """Return (T,) upper bounds of the logarithm of each term's largest change over epsilon; -inf for no change."""
-        epsilon = np.full(len(self._change_bounds), self.epsilon)
-        if self.colors.kind.space != "rgb":
-            steps = _STEPS * self.colors.scales[self.colors.gaussian_ids].astype(np.float64)
-            epsilon = np.maximum((1.0 - _ROUNDING) * epsilon - steps, 0.0)
-        something = self._change_bounds > 0.0
-        with np.errstate(divide="ignore"):
-            logs = np.log(np.where(something, self._change_bounds, 1.0)) - np.log(epsilon) + _MARGIN
-        return np.where(something, logs, -np.inf).astype(np.float32)
+        bounds = self._change_bounds
+        if self.colors.kind.space == "rgb":
+            return _in_blocks(lambda some: _logs_above(some, np.full(len(some), self.epsilon)), bounds, bounds.shape)
+        steps = _STEPS * self.colors.scales[self.colors.gaussian_ids].astype(np.float64)
+        return _logs_above(bounds, np.maximum((1.0 - _ROUNDING) * self.epsilon - steps, 0.0))
+
+
+def _logs_above(bounds: F64, epsilon: F64) -> F32:
+    """Return (T,) logarithms of bounds over epsilon, not below them; -inf for bounds of 0."""
+    something = bounds > 0.0
+    with np.errstate(divide="ignore"):
+        logs = np.log(np.where(something, bounds, 1.0)) - np.log(epsilon) + _MARGIN
+    return np.where(something, logs, -np.inf).astype(np.float32)
+
+
+def _in_blocks(function: Callable[[NDArray[Any]], NDArray[Any]], rows: NDArray[Any], shape: tuple[int, ...]) -> F32:
+    """Return a function of rows as float32 of a shape, a block at a time: it computes in float64."""
+    found = np.empty(shape, np.float32)
+    for start in range(0, len(rows), _BLOCK):
+        some = slice(start, start + _BLOCK)
+        found[some] = function(rows[some])
+    return found
 
 
 def contributions(colors: SrbfColors, means: ArrayLike, eye: ArrayLike) -> F32:
@@ -217,11 +235,12 @@ def _change_bounds(colors: SrbfColors, amplitudes: F32) -> F64:
     slope by S at most min(L, 1 - L). The possible values of S and L follow from the signs of the amplitudes, because
     lobes lie in (0, 1].
     """
-    sizes = np.abs(amplitudes.astype(np.float64))
     kind = colors.kind
-    ids = colors.gaussian_ids
     if kind.space == "rgb":
-        return np.asarray(sizes.max(axis=1, initial=0.0))
+        largest = np.maximum(amplitudes.max(axis=1, initial=0.0), -amplitudes.min(axis=1, initial=0.0))
+        return np.asarray(largest, np.float64)
+    sizes = np.abs(amplitudes.astype(np.float64))
+    ids = colors.gaussian_ids
     scaled = colors.scales.astype(np.float64)[ids]
     base = colors.base.astype(np.float64)
 

@@ -17,6 +17,7 @@ from gsvis.color._kernels import rgb as _kernels_rgb
 from gsvis.color._kernels import srbf as _kernels_srbf
 from gsvis.color._kinds import is_tensor
 from gsvis.color.srbf import SrbfColors
+from gsvis.files.mapped import release_mapped
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -34,7 +35,8 @@ class Evaluator:
 
     Args:
         colors: N Gaussians with T terms.
-        keep: Whether the colors are kept beside what is laid out.
+        keep: Whether the colors are kept beside what is laid out. Otherwise the memory of those that lie in mapped
+            files is given back.
 
     Attributes:
         source: The colors; None if they are not kept.
@@ -55,6 +57,8 @@ class Evaluator:
         base = _in_windows(colors.base, order)
         scales = _in_windows(colors.scales[:, None], order)
         self._packed = order, colors.offsets, starts, slots, base, np.ascontiguousarray(scales[:, 0])
+        if not keep:
+            release_mapped(vars(colors).values())
 
     def __len__(self) -> int:
         return len(self._packed[1]) - 1

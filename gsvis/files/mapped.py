@@ -34,6 +34,7 @@ __all__ = [
     "ArrayLists",
     "GrowingArrays",
     "MappedArrays",
+    "give_back",
     "release_mapped",
     "resident_bytes",
     "write_arrays",
@@ -310,7 +311,7 @@ class MappedArrays:
                 k = int(bad[0])
                 got = f"bytes with checksum {found[k]:016x}, not {known[first + k]:016x}"
                 raise FormatError(self.path, f"byte {place:,}", "the bytes that were written", got, DAMAGED)
-            _give_back(self._map, self._start + low, self._start + low + 8 * len(words))
+            give_back(self._map, self._start + low, self._start + low + 8 * len(words))
 
     def release(self, shares: Sequence[tuple[float, float]] | None = None) -> None:
         """Give back the memory of pages; a page that is touched again comes from the file.
@@ -322,11 +323,11 @@ class MappedArrays:
             shares: Which shares of each array, each from one number in [0, 1] to another; None means all.
         """
         if shares is None:
-            _give_back(self._map, 0, len(self._map))
+            give_back(self._map, 0, len(self._map))
             return
         for place, size in self._lines:
             for low, high in shares:
-                _give_back(self._map, place + int(size * low), place + int(size * high))
+                give_back(self._map, place + int(size * low), place + int(size * high))
 
     @cached_property
     def _lines(self) -> list[tuple[int, int]]:
@@ -356,7 +357,7 @@ def release_mapped(values: Iterable[object]) -> None:
         if not isinstance(file, mmap.mmap) or array.flags.writeable or not array.flags.c_contiguous:
             continue
         place = array.ctypes.data - np.frombuffer(file, np.uint8).ctypes.data
-        _give_back(file, place, place + array.nbytes)
+        give_back(file, place, place + array.nbytes)
 
 
 def resident_bytes() -> int:
@@ -367,8 +368,11 @@ def resident_bytes() -> int:
         return 0
 
 
-def _give_back(file: mmap.mmap, start: int, end: int) -> None:
-    """Release the memory of the system's pages that lie within a range of bytes of a mapped file."""
+def give_back(file: mmap.mmap, start: int, end: int) -> None:
+    """Release the memory of the system's pages that lie within a range of bytes of a mapped file.
+
+    The content stays: that of a private map as it is in the file, that of a shared one as it was written.
+    """
     first = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE
     size = end // mmap.PAGESIZE * mmap.PAGESIZE - first
     if size > 0 and hasattr(file, "madvise"):

@@ -75,7 +75,7 @@ class Shelf:
         self._files: list[MappedArrays] = []
 
     def put(self, thing: _Thing) -> _Thing:
-        """Return an object with its arrays in a file; see `shelve`."""
+        """Return an object with its arrays in a file; see `shelve`. Drop the one that was given."""
         shelved = shelve(thing, self._folder / f"{len(self._files)}.arrays")
         mapped = MappedArrays(shelved.path)
         self._files.append(mapped)

@@ -24,8 +24,11 @@ from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["ExactLevel", "measure_fidelity"]
 
+Active = CellTerms | ActiveTerms
+
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
 _CAP = 100.0
@@ -50,7 +53,7 @@ def measure_fidelity(
     *,
     exact: ExactLevel | None = None,
     sets: VisibilityStore | None = None,
-    active: CellTerms | ActiveTerms | None = None,
+    active: Active | Callable[[], Active] | None = None,
     progress: Progress = silent,
 ) -> Fidelity:
     """Measure the final quality at a client against the source scene, over views.
@@ -61,7 +64,8 @@ def measure_fidelity(
         cameras: C > 0 held-out views.
         exact: The highest level before rounding. Without it, only the step "cells" is measured on its own.
         sets: Visible sets of the package; None skips the step "cells".
-        active: The terms that its cells need; None with `sets` means that no terms are sent.
+        active: The terms that its cells need; None with `sets` means that no terms are sent. A function is called when
+            the images of the source are drawn, and what it returns is dropped before records are drawn.
         progress: Called with stage "fidelity", in images.
 
     Raises:
@@ -85,7 +89,10 @@ def measure_fidelity(
         advance()
     release_mapped(vars(scene).values())
     exactly = [dict[str, F32]() for _ in wanted] if exact is None else _draw_exact(exact, cameras, advance)
-    draw = _Steps(contents, sets, active)
+    needed = {}
+    if sets is not None and active is not None:
+        needed = _terms_of_cells(sets, active, cameras, len(contents.term_records))
+    draw = _Steps(contents, sets, needed)
     values: dict[str, list[float]] = {}
     for c in range(len(cameras)):
         images = {"scene": wanted[c], **exactly[c], **draw(cameras[c])}
@@ -116,14 +123,27 @@ def _draw_exact(exact: ExactLevel, cameras: Cameras, advance: Callable[[], None]
     return found
 
 
+def _terms_of_cells(
+    sets: VisibilityStore, active: Active | Callable[[], Active], cameras: Cameras, count: int
+) -> dict[int, U8]:
+    """Return the terms that the cells of cameras need: by cell, a bit for each of `count` terms."""
+    found = active() if callable(active) else active
+    needed = {}
+    for c in range(len(cameras)):
+        cell = sets.grid.nearest(cameras[c].viewpoints[0])
+        if cell not in needed:
+            terms = np.zeros(count, bool)
+            terms[found.active_ids(cell)] = True
+            needed[cell] = np.packbits(terms)
+    return needed
+
+
 class _Steps:
     """Draws views of the records of a scene, and of what a client has of them in a cell."""
 
-    def __init__(
-        self, contents: Contents, sets: VisibilityStore | None, active: CellTerms | ActiveTerms | None
-    ) -> None:
+    def __init__(self, contents: Contents, sets: VisibilityStore | None, needed: dict[int, U8]) -> None:
         self._sets = sets
-        self._active = active
+        self._needed = needed
         self._decoded = contents.gaussians()
         self._highest = contents.last == len(contents.names) - 1
         self._after = Evaluator(contents.colors().dequantize(), keep=False)
@@ -136,10 +156,10 @@ class _Steps:
         if self._sets is not None:
             cell = self._sets.grid.nearest(eye)
             seen = np.zeros(len(self._decoded), bool)
-            terms = np.zeros(self._after.num_terms, bool)
             seen[self._sets.visible_ids(cell)] = True
-            if self._active is not None:
-                terms[self._active.active_ids(cell)] = True
+            count = self._after.num_terms
+            bits = self._needed.get(cell, np.zeros(-(-count // 8), np.uint8))
+            terms = np.unpackbits(bits, count=count).view(bool)
             images["cells"] = self._draw_records(camera, eye, self._highest & seen, terms)
         return images
 

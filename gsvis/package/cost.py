@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.records import QuantizedColors
 from gsvis.color.srbf import SrbfColors
+from gsvis.files.mapped import release_mapped
 from gsvis.package.manifest import Cost
 from gsvis.package.order import PackageOrder
 from gsvis.package.rounding import Limits, rounded_contents
@@ -51,13 +52,13 @@ def measure_cost(
     if len(exact) != len(levels.union):
         raise ValueError(f"exact: expected colors of {len(levels.union):,} Gaussians, got {len(exact):,}")
     contents = rounded_contents(levels, colors, limits, order)
+    release_mapped([*vars(levels.union).values(), *vars(colors).values()])
     member = levels.member(len(levels) - 1)
     done = 0
 
-    def draw(g: Gaussians, of: SrbfColors) -> list[NDArray[np.float32]]:
+    def draw(g: Gaussians, evaluator: Evaluator) -> list[NDArray[np.float32]]:
         """Return the images of all views."""
         nonlocal done
-        evaluator = Evaluator(of, keep=False)
         images = []
         for c in range(len(cameras)):
             colors = evaluator.colors(g.means, cameras[c].viewpoints[0])
@@ -67,7 +68,8 @@ def measure_cost(
         return images
 
     progress("cost", 0, 2 * len(cameras))
-    wanted = draw(levels.union.without_harmonics().showing(member), exact)
-    rounded = draw(contents.gaussians().showing(member), contents.colors().dequantize())
+    wanted = draw(levels.union.without_harmonics().showing(member), Evaluator(exact, keep=False))
+    after = Evaluator(contents.colors().dequantize(), keep=False)
+    rounded = draw(contents.gaussians().showing(member), after)
     found = [min(_CAP, float(psnr(image, other))) for image, other in zip(rounded, wanted, strict=True)]
     return Cost(float(np.mean(found)), float(np.min(found)), len(cameras), cameras.width, cameras.height)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from gsvis.color.blend import blend_colors
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.sh import seen_sh_colors
 from gsvis.color.srbf import SrbfColors
+from gsvis.files.mapped import release_mapped
 from gsvis.jobs.freed_memory import release_freed_memory
 from gsvis.jobs.in_order import in_order
 from gsvis.progress import Progress, silent
@@ -211,6 +213,7 @@ def learn_lesson(
     *,
     shown: NDArray[np.bool_] | None = None,
     backend: str = "auto",
+    folder: Path | None = None,
     progress: Progress = silent,
 ) -> tuple[SrbfColors, Learned]:
     """Learn colors from images, and measure them before and after.
@@ -222,6 +225,7 @@ def learn_lesson(
         to_records: Function that rounds colors as records hold them.
         shown: (N,) bool, the Gaussians of the highest of several levels; None means all.
         backend: Backend that draws while colors are learned, see `learn_colors`; the CPU measures.
+        folder: Folder for temporary files, see `learn_colors`.
         progress: Called with stages "learn" and "measure".
 
     Returns:
@@ -232,7 +236,9 @@ def learn_lesson(
     from gsvis.train.colors import learn_colors
 
     whole = np.ones(len(g), bool) if shown is None else shown
-    learned = learn_colors(g, colors, lesson.views, lesson.config, shown=shown, backend=backend, progress=progress)
+    learned = learn_colors(
+        g, colors, lesson.views, lesson.config, shown=shown, backend=backend, folder=folder, progress=progress
+    )
     about = Learned(lesson.named, len(lesson.views), asdict(lesson.config))
     if lesson.held_out is None:
         return learned, about
@@ -256,7 +262,11 @@ def learn_lesson(
 
 def _lay_out(colors: SrbfColors, to_records: Callable[[SrbfColors], SrbfColors] | None) -> Evaluator:
     """Return what draws colors, rounded if they are to be; rounded ones are not kept."""
-    return Evaluator(colors) if to_records is None else Evaluator(to_records(colors), keep=False)
+    if to_records is None:
+        return Evaluator(colors)
+    rounded = to_records(colors)
+    release_mapped(vars(colors).values())
+    return Evaluator(rounded, keep=False)
 
 
 class ColorMeasure:

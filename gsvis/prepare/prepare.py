@@ -30,7 +30,7 @@ from gsvis.prepare.stage_quality import run_cost, run_fidelity, run_judges, run_
 from gsvis.prepare.stage_records import run_epsilon, run_rounding, run_terms
 from gsvis.prepare.stage_sets import around_of, run_sets, ship_sets
 from gsvis.prepare.stages import StageRecord, Stages
-from gsvis.prepare.start_views import describe_start_views
+from gsvis.prepare.start_views import describe_start_views, shows_object
 from gsvis.progress import Progress, silent
 from gsvis.pvs.joined import JoinedCells
 from gsvis.pvs.store import VisibilityStore
@@ -163,11 +163,11 @@ def finish_package(
         with VisibilityStore.open(sets, scene=levels.union) as store:
             colors = run_colors(stages, levels, store)
             exact = colors.exact
-            packed = round_colors(stages, exact)
+            packed = stages.lay_away(round_colors(stages, exact))
             epsilon = run_epsilon(stages, levels, packed)
             limits, packed = run_rounding(stages, levels, exact, packed)
             cost = run_cost(stages, levels, exact, packed, limits)
-            contents = rounded_contents(levels, packed, limits)
+            contents = stages.lay_away(rounded_contents(levels, packed, limits))
             shipped = ship_sets(stages, store)
         with VisibilityStore.open(shipped, scene=levels.union) as store:
             fidelity = run_fidelity(stages, levels, exact, contents, store, epsilon.value)
@@ -177,7 +177,7 @@ def finish_package(
             certificates = store.certificates
             twice = store.info.config.get("traced_twice")
         began = time.perf_counter()
-        views = describe_start_views(levels.level(len(levels) - 1), stages.space, seed=config.level_views.seed)
+        views = _find_start_views(stages, levels)
         found = {"levels": quality, "directions": colors.directions, "views": views, "judged": judged}
         found |= _known(learned_colors=colors.learned, overdraw=overdraw, staircase=epsilon.staircase)
         provenance = {**(about or {}), "config": config.as_dict(), **found}
@@ -206,6 +206,17 @@ def finish_package(
         judged,
         stages.joined,
     )
+
+
+def _find_start_views(stages: Stages, levels: Levels) -> list[dict[str, Any]]:
+    """Return the start views of the highest level; harmonics are copied for objects alone, whose pictures decide."""
+    last = len(levels) - 1
+    highest = levels.bare_level(last)
+    if shows_object(highest, stages.space):
+        highest = levels.level(last)
+    found = describe_start_views(highest, stages.space, seed=stages.config.level_views.seed)
+    stages.rest()
+    return found
 
 
 def _known(**found: dict[str, Any] | None) -> dict[str, dict[str, Any]]:

@@ -73,7 +73,7 @@ def run_colors(stages: Stages, levels: Levels, store: VisibilityStore) -> StageC
                 levels, stages.space, stages.config.colors, sets=sets, keep=found_so_far, progress=stages.progress
             )
             provenance: dict[str, Any] = {"directions": found.sets_from}
-            colors = found.fit.colors
+            colors = stages.lay_away(found.fit.colors)
             del found
             stages.rest()
             if count_color_steps(stages):
@@ -81,9 +81,11 @@ def run_colors(stages: Stages, levels: Levels, store: VisibilityStore) -> StageC
                 provenance["learned"] = {**learned.as_dict(), "remark": learned.remark}
             save_srbf(stages.work.at(name), levels.union, colors, provenance=provenance)
             stages.work.seal_file(name)
+            del colors
         path = stages.work.at(name)
         known = srbf_info(path).provenance
-        made = StageColors(load_srbf(path)[1], str(known.get("directions")), known.get("learned"))
+        exact = stages.lay_away(load_srbf(path)[1])
+        made = StageColors(exact, str(known.get("directions")), known.get("learned"))
     stages.remarks += [made.learned["remark"]] if made.learned and made.learned["remark"] else []
     return made
 
@@ -123,6 +125,7 @@ def _learn(stages: Stages, levels: Levels, colors: SrbfColors) -> tuple[SrbfColo
 
     shown = levels.member(len(levels) - 1)
     backend = stages.config.colors.backend
+    folder = stages.scratch_folder
     return learn_lesson(
-        levels.union, colors, lesson, to_records, shown=shown, backend=backend, progress=stages.progress
+        levels.union, colors, lesson, to_records, shown=shown, backend=backend, folder=folder, progress=stages.progress
     )

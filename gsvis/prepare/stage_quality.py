@@ -71,7 +71,11 @@ def run_fidelity(
         if not stages.work.whole(name):
             done.append(True)
             member = levels.member(len(levels) - 1)
-            terms = CellTerms(contents.gaussians(), contents.colors().dequantize(), store, epsilon)
+
+            def terms() -> CellTerms:
+                """Return what finds the terms of cells."""
+                return CellTerms(contents.gaussians(), contents.colors().dequantize(), store, epsilon)
+
             found = measure_fidelity(
                 stages.highest,
                 contents,

@@ -16,7 +16,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 from gsvis.files.atomic import atomic_path
 from gsvis.files.fields import Fields, parse_object
@@ -38,6 +39,8 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 
 __all__ = ["VERSIONS", "StageRecord", "Stages", "hash_levels"]
+
+_Thing = TypeVar("_Thing")
 
 VERSIONS = {
     "levels": 11,
@@ -169,6 +172,25 @@ class Stages:
             return levels
         kept = self._shelf.put(levels)
         scene_hash(kept.union)  # reads all of it, once
+        self.rest()
+        return kept
+
+    @property
+    def is_large(self) -> bool:
+        """Whether large objects of this preparation lie in files."""
+        whole = self.scene.union if isinstance(self.scene, Levels) else self.scene
+        return whole.nbytes >= LARGE
+
+    @property
+    def scratch_folder(self) -> Path | None:
+        """Folder for arrays that change; None keeps them in memory, as a small scene's."""
+        return self.work.folder / "shelf" if self.is_large else None
+
+    def lay_away(self, thing: _Thing) -> _Thing:
+        """Return colors or records; those of a large scene lie in a file, and leave memory on `rest`."""
+        if not self.is_large:
+            return thing
+        kept = self._shelf.put(thing)
         self.rest()
         return kept
 

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ from gsvis.color.evaluate_torch import SrbfTensors, evaluate_torch
 from gsvis.color.learning import LearnedValues, RowsOfView, SeenColors, see_rgb
 from gsvis.color.sh import seen_sh_colors
 from gsvis.color.srbf import MAX_DECAY, SrbfColors, spherical_coordinates, unit_vectors
+from gsvis.files.mapped import release_mapped
+from gsvis.files.scratch import Scratch
 from gsvis.jobs.in_order import in_order
 from gsvis.progress import Progress, silent
 from gsvis.render.device import OnDevice
@@ -40,6 +43,7 @@ from gsvis.train.loss import photometric_loss
 __all__ = ["LearnConfig", "learn_colors", "learn_sh", "view_of_step"]
 
 _BLOCK = 1 << 20  # terms whose centers are brought into range at a time
+_REST = 8  # steps after which memory is given back; each brings back the pages of its view
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,7 @@ def learn_colors(
     *,
     shown: NDArray[np.bool_] | None = None,
     backend: str = "auto",
+    folder: Path | None = None,
     progress: Progress = silent,
 ) -> SrbfColors:
     """Return SRBF colors that show given images better. Geometry and number of terms stay the same.
@@ -135,6 +140,8 @@ def learn_colors(
         config: Options; None means `LearnConfig()`.
         shown: (N,) bool, the Gaussians to draw, such as those of the highest of several levels; None means all.
         backend: Backend that draws, see `DeviceScene`.
+        folder: Folder for temporary files of what is learned, so that memory holds what recent views show; None keeps
+            all in memory. The memory of Gaussians and colors that lie in mapped files is given back then too.
         progress: Called with every step; stage "learn".
 
     Raises:
@@ -150,7 +157,7 @@ def learn_colors(
     if config.steps == 0 or len(colors) == 0 or len(ids) == 0:
         return colors
     cameras = views if isinstance(views, Cameras) else views.cameras
-    student = _Student(g, colors, config)
+    student = _Student(g, colors, config, Scratch(folder))
     drawn = g.without_harmonics()[ids]
     there = DeviceScene(drawn, backend)
     work = OnDevice("colors are learned", there.on_device)
@@ -185,6 +192,8 @@ def learn_colors(
         index = view_of_step(step, len(views), config.seed)
         found, by_colors = work.run(partial(descend_there, index), partial(descend_here, index, ready))
         student.step(found, by_colors)
+        if step % _REST == 0:
+            student.rest()
         progress("learn", step + 1, config.steps)
     return student.finish()
 
@@ -236,24 +245,27 @@ class _Student:
         g: N Gaussians.
         colors: Colors to begin with.
         config: Steps and rates.
+        scratch: Makes the arrays that change.
     """
 
-    def __init__(self, g: Gaussians, colors: SrbfColors, config: LearnConfig) -> None:
-        self._means = g.means
+    def __init__(self, g: Gaussians, colors: SrbfColors, config: LearnConfig, scratch: Scratch) -> None:
+        self._scene = g
         self._begun = colors
+        self._scratch = scratch
         fall = config.rates_end ** (1.0 / max(config.steps - 1, 1))
         terms = {
-            "centers": colors.centers.copy(),
-            "growth": np.zeros((colors.num_terms, 1), np.float32),  # logarithms, so that no growth changes no bit
-            "intensities": colors.intensities.copy(),
+            "centers": scratch.copy(colors.centers),
+            "growth": scratch.zeros((colors.num_terms, 1)),  # logarithms, so that no growth changes no bit
+            "intensities": scratch.copy(colors.intensities),
         }
         rates = {
             "centers": config.center_rate,
             "growth": config.decay_rate,
             "intensities": config.intensity_rate,
         }
-        self._bases = LazyAdam({"base": colors.base.copy()}, {"base": config.base_rate}, fall, config.steps)
-        self._terms = LazyAdam(terms, rates, fall, config.steps)
+        bases = {"base": scratch.copy(colors.base)}
+        self._bases = LazyAdam(bases, {"base": config.base_rate}, fall, config.steps, scratch)
+        self._terms = LazyAdam(terms, rates, fall, config.steps, scratch)
 
     def see(self, rows: NDArray[np.int64], eye: NDArray[np.float64]) -> SeenColors:
         """Return the colors of some Gaussians, ascending, as an eye sees them."""
@@ -264,13 +276,18 @@ class _Student:
         self._terms.catch_up(terms)
         see = see_rgb if begun.kind.space == "rgb" else _see_by_torch
         values = self._bases.values | self._terms.values
-        return see(begun, values, RowsOfView(rows, terms, starts), self._means, eye)
+        return see(begun, values, RowsOfView(rows, terms, starts), self._scene.means, eye)
 
     def step(self, seen: SeenColors, by_colors: NDArray[np.float32]) -> None:
         """Take one step along the gradient (M, 3) of a loss by the colors that were seen."""
         gradients = seen.gradients(by_colors)
         self._bases.step(seen.rows.gaussians, gradients)
         self._terms.step(seen.rows.terms, gradients)
+
+    def rest(self) -> None:
+        """Give back the memory of what lies in files; the next step reads its rows again."""
+        self._scratch.release()
+        release_mapped([*vars(self._scene).values(), *vars(self._begun).values()])
 
     def finish(self) -> SrbfColors:
         """Return the colors; what never changed is the same to the bit."""

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.files.scratch import Scratch
 from gsvis.train._kernels.adam import catch_up_rows, step_rows
 
 __all__ = ["LazyAdam"]
@@ -35,20 +36,30 @@ class LazyAdam:
         rates: Learning rate of each array at the first step.
         fall: Factor on all rates after each step.
         steps: Maximum number of steps.
+        scratch: Makes the arrays of moments; None keeps them in memory.
 
     Attributes:
         values: The arrays. Rows that missed steps are not up to date until `catch_up` or `finish`.
         step_count: Steps taken.
     """
 
-    def __init__(self, values: Mapping[str, F32], rates: Mapping[str, float], fall: float, steps: int) -> None:
+    def __init__(
+        self,
+        values: Mapping[str, F32],
+        rates: Mapping[str, float],
+        fall: float,
+        steps: int,
+        scratch: Scratch | None = None,
+    ) -> None:
+        place = scratch or Scratch()
         self.values = dict(values)
         self.step_count = 0
         self._rates = dict(rates)
         self._fall = fall
-        self._first = {name: np.zeros_like(each) for name, each in self.values.items()}
-        self._second = {name: np.zeros_like(each) for name, each in self.values.items()}
-        self._last = np.zeros(len(next(iter(self.values.values()))), np.int32)
+        self._first = {name: place.zeros(each.shape) for name, each in self.values.items()}
+        self._second = {name: place.zeros(each.shape) for name, each in self.values.items()}
+        self._last = place.zeros((len(next(iter(self.values.values()))),), np.int32)
+        self._scratch = place
         times = np.arange(steps + 1)
         self._fade1 = _BETA1**times
         self._fade2 = _BETA2**times
@@ -91,6 +102,7 @@ class LazyAdam:
         """Bring all rows up to date; no step follows."""
         for start in range(0, len(self._last), _BLOCK):
             self.catch_up(np.arange(start, min(start + _BLOCK, len(self._last))))
+            self._scratch.release()
         self._first.clear()
         self._second.clear()
 

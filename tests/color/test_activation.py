@@ -254,3 +254,14 @@ def test_a_box_misses_no_term_of_a_color_whose_steps_are_larger_than_the_thresho
     exact = activation.active(eye)
     assert exact.any()
     assert not (exact & ~activation.active_in_box(eye, eye)).any()
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_blocks_change_no_bit(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(8)
+    colors = random_colors(rng, 60, name)
+    means = rng.normal(size=(60, 3))
+    whole = Activation(colors, means, 0.01).least_cosines()
+    monkeypatch.setattr("gsvis.color.activation._BLOCK", 16)
+    assert colors.num_terms > 16
+    assert Activation(colors, means, 0.01).least_cosines().tobytes() == whole.tobytes()

@@ -118,6 +118,7 @@ def test_what_a_cell_needs_is_its_set_and_its_active_terms(world: World, tmp_pat
     info, sets = PackageInfo(epsilon=EPSILON), sets_of(tmp_path, world.levels)
     with write_package(tmp_path / "s", world.levels, world.packed, info=info, visibility=sets) as package:
         found = world.measure(sets=package.visibility, active=package.active_terms)
+        later = world.measure(sets=package.visibility, active=lambda: package.active_terms)
         silent = world.measure(sets=package.visibility)
         grid, decoded, colors = package.visibility.grid, world.contents.gaussians(), world.packed.dequantize()
         values = []
@@ -129,6 +130,7 @@ def test_what_a_cell_needs_is_its_set_and_its_active_terms(world: World, tmp_pat
             shown, ids = evaluate(colors, decoded.means, eye, active=active), package.visibility.visible_ids(cell)
             image = rasterize(decoded[ids], world.cameras[c], colors=shown[ids]).images[0]
             values.append(float(psnr(np.clip(image, 0.0, 1.0), drawn(world.scene, world.cameras[c]))))
+    assert later == found
     assert found.cell is not None
     assert silent.cell is not None
     assert found.cell.psnr == pytest.approx(np.mean(values), abs=1e-3)

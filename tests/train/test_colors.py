@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import torch
 
 from gsvis.color import FitConfig, SrbfColors, fit_srbf
 from gsvis.color.srbf import unit_vectors
+from gsvis.files.shelf import Shelf
 from gsvis.render import rasterize
 from gsvis.render.device_torch import DeviceView
 from gsvis.scene.cameras import Cameras
@@ -113,6 +115,18 @@ def test_learning_is_that_of_its_plain_twin(
     for name in ("base", "decays", "intensities"):
         assert np.allclose(getattr(fast, name), getattr(plain, name), rtol=1e-4, atol=1e-5)
     assert np.allclose(unit_vectors(fast.centers), unit_vectors(plain.centers), atol=1e-4)
+
+
+def test_colors_in_files_learn_the_same_to_the_bit(
+    scene: Gaussians, colors: SrbfColors, views: PosedImages, tmp_path: Path
+) -> None:
+    config = replace(FEW, steps=20, squared=True)
+    shelf = Shelf(tmp_path / "shelf")
+    kept = learn_colors(scene, colors, views.cameras, config)
+    filed = learn_colors(shelf.put(scene), shelf.put(colors), views.cameras, config, folder=tmp_path)
+    for name in ("base", "centers", "decays", "intensities"):
+        assert np.array_equal(getattr(kept, name), getattr(filed, name))
+        assert not np.array_equal(getattr(kept, name), getattr(colors, name))
 
 
 def test_cameras_alone_teach_what_images_of_the_scene_do(
