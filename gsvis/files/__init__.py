@@ -15,6 +15,7 @@ _MODULES = (
     "mapped",
     "output",
     "places",
+    "scratch",
     "sections",
     "shelf",
     "shown",

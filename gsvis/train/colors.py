@@ -26,6 +26,7 @@ from gsvis.color.sh import seen_sh_colors
 from gsvis.color.srbf import MAX_DECAY, SrbfColors, spherical_coordinates, unit_vectors
 from gsvis.files.mapped import release_mapped
 from gsvis.files.scratch import Scratch
+from gsvis.jobs.freed_memory import release_freed_memory
 from gsvis.jobs.in_order import in_order
 from gsvis.progress import Progress, silent
 from gsvis.render.device import OnDevice
@@ -42,8 +43,8 @@ from gsvis.train.loss import photometric_loss
 
 __all__ = ["LearnConfig", "learn_colors", "learn_sh", "view_of_step"]
 
-_BLOCK = 1 << 20  # terms whose centers are brought into range at a time
-_REST = 8  # steps after which memory is given back; each brings back the pages of its view
+_BLOCK = 1 << 20  # terms whose centers are brought into range at a time; four for each Gaussian
+_REST = 4  # steps after which memory is given back; a view brings back half of the pages
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,7 @@ def learn_colors(
     def look(seen: FixedView | DeviceView) -> _Look:
         """Return a view, and what it is to show, unless that is an image."""
         where = ids[seen.ids]
-        wanted = seen_sh_colors(g, where, seen.eye) if isinstance(views, Cameras) else None
+        wanted = _seen_in_blocks(g, where, seen.eye) if isinstance(views, Cameras) else None
         return _Look(seen, where, wanted)
 
     def look_ahead(step: int) -> _Look | None:
@@ -210,6 +211,16 @@ class _Look(NamedTuple):
     seen: FixedView | DeviceView
     where: NDArray[np.int64]
     wanted: NDArray[np.float32] | None
+
+
+def _seen_in_blocks(g: Gaussians, ids: NDArray[np.int64], eye: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return what `seen_sh_colors` does for ascending ids; the memory of mapped harmonics is given back meanwhile."""
+    found = np.empty((len(ids), 3), np.float32)
+    for start in range(0, len(ids), _BLOCK // 4):
+        some = slice(start, start + _BLOCK // 4)
+        found[some] = seen_sh_colors(g, ids[some], eye)
+        release_mapped([g.shN])
+    return found
 
 
 def view_of_step(step: int, count: int, seed: int) -> int:
@@ -285,8 +296,9 @@ class _Student:
         self._terms.step(seen.rows.terms, gradients)
 
     def rest(self) -> None:
-        """Give back the memory of what lies in files; the next step reads its rows again."""
+        """Give back what was freed, and the memory of what lies in files; the next step reads its rows again."""
         self._scratch.release()
+        release_freed_memory()
         release_mapped([*vars(self._scene).values(), *vars(self._begun).values()])
 
     def finish(self) -> SrbfColors:
