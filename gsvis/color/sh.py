@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.color._kernels import sh as _kernels_sh
 from gsvis.color._kinds import is_tensor, numbers
+from gsvis.files.mapped import release_mapped
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import sh_basis, sh_degree_of
 
@@ -29,6 +30,8 @@ __all__ = [
     "write_sh_colors",
     "write_sh_gradients",
 ]
+
+_BLOCK = 1 << 18  # Gaussians whose harmonics are read at a time
 
 
 class _Tensors(Protocol):
@@ -124,13 +127,18 @@ def write_sh_colors(
 def seen_sh_colors(g: Gaussians, ids: NDArray[np.int64], eye: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return the SH colors (M, 3) of some Gaussians from one eye, clipped below at 0.
 
+    The memory of harmonics that lie in a mapped file is given back block by block: few Gaussians lie in many pages.
+
     Args:
         g: N Gaussians.
-        ids: (M,) Gaussians.
+        ids: (M,) Gaussians, best in ascending order.
         eye: (3,) viewpoint, world frame.
     """
     out = np.empty((len(ids), 3), np.float32)
-    write_sh_colors(ids.astype(np.int32), (g.means, g.sh0, g.shN), g.sh_degree, eye, out)
+    for start in range(0, len(ids), _BLOCK):
+        some = slice(start, start + _BLOCK)
+        write_sh_colors(ids[some].astype(np.int32), (g.means, g.sh0, g.shN), g.sh_degree, eye, out[some])
+        release_mapped([g.shN])
     return out
 
 

@@ -19,7 +19,6 @@ from gsvis.color.blend import blend_colors
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.sh import seen_sh_colors
 from gsvis.color.srbf import SrbfColors
-from gsvis.files.mapped import release_mapped
 from gsvis.jobs.freed_memory import release_freed_memory
 from gsvis.jobs.in_order import in_order
 from gsvis.progress import Progress, silent
@@ -264,9 +263,7 @@ def _lay_out(colors: SrbfColors, to_records: Callable[[SrbfColors], SrbfColors] 
     """Return what draws colors, rounded if they are to be; rounded ones are not kept."""
     if to_records is None:
         return Evaluator(colors)
-    rounded = to_records(colors)
-    release_mapped(vars(colors).values())
-    return Evaluator(rounded, keep=False)
+    return Evaluator(to_records(colors), keep=False)
 
 
 class ColorMeasure:

@@ -9,6 +9,7 @@ from typing import Any
 from gsvis.color.records import QuantizedColors, quantize
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf, save_srbf, srbf_info
+from gsvis.files.mapped import release_mapped
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.learned_colors import (
     Learned,
@@ -121,7 +122,9 @@ def _learn(stages: Stages, levels: Levels, colors: SrbfColors) -> tuple[SrbfColo
 
     def to_records(exact: SrbfColors) -> SrbfColors:
         """Round colors as the package does."""
-        return round_colors(stages, exact).dequantize()
+        packed = round_colors(stages, exact)
+        release_mapped(vars(exact).values())
+        return packed.dequantize()
 
     shown = levels.member(len(levels) - 1)
     backend = stages.config.colors.backend

@@ -43,7 +43,7 @@ from gsvis.train.loss import photometric_loss
 
 __all__ = ["LearnConfig", "learn_colors", "learn_sh", "view_of_step"]
 
-_BLOCK = 1 << 20  # terms whose centers are brought into range at a time; four for each Gaussian
+_BLOCK = 1 << 20  # terms whose centers are brought into range at a time
 _REST = 4  # steps after which memory is given back; a view brings back half of the pages
 
 
@@ -166,7 +166,7 @@ def learn_colors(
     def look(seen: FixedView | DeviceView) -> _Look:
         """Return a view, and what it is to show, unless that is an image."""
         where = ids[seen.ids]
-        wanted = _seen_in_blocks(g, where, seen.eye) if isinstance(views, Cameras) else None
+        wanted = seen_sh_colors(g, where, seen.eye) if isinstance(views, Cameras) else None
         return _Look(seen, where, wanted)
 
     def look_ahead(step: int) -> _Look | None:
@@ -211,16 +211,6 @@ class _Look(NamedTuple):
     seen: FixedView | DeviceView
     where: NDArray[np.int64]
     wanted: NDArray[np.float32] | None
-
-
-def _seen_in_blocks(g: Gaussians, ids: NDArray[np.int64], eye: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return what `seen_sh_colors` does for ascending ids; the memory of mapped harmonics is given back meanwhile."""
-    found = np.empty((len(ids), 3), np.float32)
-    for start in range(0, len(ids), _BLOCK // 4):
-        some = slice(start, start + _BLOCK // 4)
-        found[some] = seen_sh_colors(g, ids[some], eye)
-        release_mapped([g.shN])
-    return found
 
 
 def view_of_step(step: int, count: int, seed: int) -> int:
