@@ -43,7 +43,7 @@ __all__ = ["VERSIONS", "StageRecord", "Stages", "hash_levels"]
 _Thing = TypeVar("_Thing")
 
 VERSIONS = {
-    "levels": 11,
+    "levels": 12,
     "sets": 7,
     "joined": 4,
     "colors": 10,
