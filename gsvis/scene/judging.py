@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from gsvis._sorting import stable_order
 from gsvis.scene._enclosed import Enclosure
-from gsvis.scene._kernels.lines_of_sight import pass_light
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.drawn_by_content import draw_by_content
 from gsvis.scene.gaussians import Gaussians
@@ -191,11 +190,19 @@ def _leave_solid(solid: Solid, proposed: Iterable[_Sights]) -> Iterator[_Sights]
 
 def _pass(few: Gaussians, aims: F64, back: F64, steps: F64) -> F64:
     """Return the share (P, S) of light that passes from near each target to each step (P, S) back along a direction."""
-    turns = np.swapaxes(few.rotations(), 1, 2) / np.maximum(few.scales.astype(np.float64), 1e-300)[:, :, None]
-    means = np.einsum("gij,gj->gi", turns, few.means.astype(np.float64))
+    turn = np.swapaxes(few.rotations(), 1, 2) / np.maximum(few.scales.astype(np.float64), 1e-300)[:, :, None]
+    means = np.einsum("gij,gj->gi", turn, few.means.astype(np.float64))
+    begin = np.einsum("gij,pj->pgi", turn, aims) - means
+    along = np.einsum("gij,pj->pgi", turn, back)
+    squared = np.maximum(np.einsum("pgi,pgi->pg", along, along), 1e-300)
+    nearest = -np.einsum("pgi,pgi->pg", begin, along) / squared
+    power = np.einsum("pgi,pgi->pg", begin, begin) - squared * nearest**2
+    dark = np.log1p(-np.minimum(few.opacities * np.exp(-0.5 * np.maximum(power, 0.0)), 0.99))
     found = np.empty(steps.shape)
-    rays = (np.ascontiguousarray(each) for each in (aims, back, steps))
-    pass_light(means, np.ascontiguousarray(turns), few.opacities, *rays, _NEAREST, found)
+    for k in range(steps.shape[1]):
+        end = steps[:, k, None]
+        between = (nearest > (1.0 - _NEAREST) * end) & (nearest < end)
+        found[:, k] = np.exp(np.where(between, dark, 0.0).sum(axis=1))
     return found
 
 

@@ -8,7 +8,7 @@ import pytest
 from gsvis.render import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.judging import _pass, draw_judges
+from gsvis.scene.judging import draw_judges
 from gsvis.scene.solid import buried
 
 
@@ -82,29 +82,3 @@ def test_eyes_move_with_the_scene(scale: float) -> None:
 def test_a_scene_without_detail_has_no_judges() -> None:
     g = platform()[:3]
     assert len(draw_judges(g, 4, look_at(g))) == 0
-
-
-def test_light_along_lines_is_that_of_the_slow_product() -> None:
-    rng = np.random.default_rng(0)
-    g = Gaussians(
-        rng.normal(size=(60, 3)),
-        rng.normal(size=(60, 4)),
-        np.exp(rng.uniform(-3.0, 0.0, (60, 3))),
-        rng.uniform(0.05, 1.0, 60),
-        np.zeros((60, 1, 3)),
-    )
-    aims = rng.normal(size=(20, 3))
-    back = rng.normal(size=(20, 3))
-    back /= np.linalg.norm(back, axis=1, keepdims=True)
-    steps = rng.uniform(0.2, 3.0, (20, 4))
-    turns = np.swapaxes(g.rotations(), 1, 2) / g.scales.astype(np.float64)[:, :, None]
-    slow = np.ones(steps.shape)
-    for p, k in np.ndindex(20, 60):
-        start = turns[k] @ (aims[p] - g.means[k])
-        way = turns[k] @ back[p]
-        nearest = -(start @ way) / (way @ way)
-        beside = start + nearest * way
-        taken = min(g.opacities[k] * np.exp(-0.5 * beside @ beside), 0.99)
-        slow[p, (nearest > 0.25 * steps[p]) & (nearest < steps[p])] *= 1.0 - taken
-    assert 0.0 < slow.min() < 0.3 < 0.9 < slow.max()
-    np.testing.assert_allclose(_pass(g, aims, back, steps), slow, rtol=1e-6, atol=1e-9)
