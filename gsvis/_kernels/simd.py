@@ -133,7 +133,7 @@ class Builder:
         """Return the vector 0, 1, 2, ..."""
         return Vector(self, ir.Constant(self.type, [float(k) for k in range(self.lanes)]))
 
-    def given(self, numbers: Sequence[float]) -> Vector:
+    def constants(self, numbers: Sequence[float]) -> Vector:
         """Return a vector with these numbers in its lanes."""
         return Vector(self, ir.Constant(self.type, [float(number) for number in numbers]))
 

@@ -80,7 +80,7 @@ class InSight:
         """Return the same for some of the Gaussians, by their (K,) indices."""
         return replace(self, voxels=self.voxels[chosen], reaches=self.reaches[chosen])
 
-    def beside(self, other: InSight) -> InSight:
+    def join(self, other: InSight) -> InSight:
         """Return the Gaussians of this, then those of another scene in the same space; with `walls` of this."""
         voxels = np.concatenate([self.voxels, other.voxels])
         return replace(self, voxels=voxels, reaches=np.concatenate([self.reaches, other.reaches]))

@@ -227,7 +227,7 @@ class _State:
         self.kept = kept
         self._drawn_in_sight = None if self.sight is None else self.sight.only(kept)
         if self._drawn_in_sight is not None and self.stand_ins is not None and self.stand_ins.sight is not None:
-            self._drawn_in_sight = self._drawn_in_sight.beside(self.stand_ins.sight)
+            self._drawn_in_sight = self._drawn_in_sight.join(self.stand_ins.sight)
         self._rarity = self.seen[kept] ** -_FAIRNESS
 
     def cut(self, count: int) -> NDArray[np.int64]:

@@ -11,11 +11,10 @@ import numpy as np
 from gsvis._kernels.compiled import kernel, njit
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.threads import in_threads
-from gsvis.render._kernels.lanes import TILE
+from gsvis.render._kernels.lanes import LOG2_255, TILE
 
 __all__ = ["count_fill", "sample_fill"]
 
-_LOG2_255 = 7.994353436858858
 _OPAQUE = 1e-4  # transmittance at which a pixel is opaque, as in images
 _MOST = 0.999  # largest alpha
 _MARGIN = 1e-3  # pixels beside the ends of a row, which are tested again
@@ -33,14 +32,14 @@ def _cover(splat, left, top, rows, columns, fill, until, light):
         # log2 alpha + log2 255 is a parabola along the row; it is positive half a root to either side of its peak
         slope = splat[3] * dy
         level = splat[5] + splat[4] * dy * dy
-        root = np.sqrt(max(slope * slope - 4.0 * splat[2] * (level + _LOG2_255), 0.0)) / (-2.0 * splat[2])
+        root = np.sqrt(max(slope * slope - 4.0 * splat[2] * (level + LOG2_255), 0.0)) / (-2.0 * splat[2])
         peak = splat[0] - slope / (2.0 * splat[2]) - left - 0.5
         first = max(int(np.ceil(peak - root - _MARGIN)), 0)
         last = min(int(np.floor(peak + root + _MARGIN)), columns - 1)
         for k in range(first, last + 1):
             dx = left + k + 0.5 - splat[0]
             log2_alpha = level + dx * (slope + splat[2] * dx)
-            if log2_alpha < -_LOG2_255:
+            if log2_alpha < -LOG2_255:
                 continue
             covered += 1
             fill[top + r, left + k] += 1
@@ -91,7 +90,7 @@ def _sample_part(splats, begin, end, step, fill):
             level = splat[5] + splat[4] * dy * dy
             for k in range(left, right + 1):
                 dx = k * step + first - splat[0]
-                if level + dx * (splat[3] * dy + splat[2] * dx) >= -_LOG2_255:
+                if level + dx * (splat[3] * dy + splat[2] * dx) >= -LOG2_255:
                     fill[r, k] += 1
 
 

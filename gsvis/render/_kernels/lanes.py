@@ -27,14 +27,23 @@ __all__ = [
     "BLOCKS",
     "CHANNELS",
     "LANES",
+    "LOG2_255",
     "RECORD",
     "SIDE",
+    "STOP",
     "TILE",
+    "Pixels",
+    "Record",
+    "T",
     "blend",
     "blend_backward",
+    "darken",
     "find_reached_blocks",
     "gather",
+    "load_channel",
+    "store_channel",
     "take_out",
+    "visit_blocks",
     "weigh",
 ]
 
@@ -50,7 +59,9 @@ T, RED, GREEN, BLUE, DEPTH, MEDIAN, STOP = range(7)
 STOP is the place, in the tile's list, of the Gaussian that found the pixel's light spent, or inf.
 """
 
-_LOG2_255 = 7.994353436858858
+LOG2_255 = 7.994353436858858
+"""A pixel sees a Gaussian where log2 alpha is at least the negative of this."""
+
 _F32 = ir.FloatType()
 _I64 = ir.IntType(64)
 
@@ -62,7 +73,7 @@ def _int(number: int) -> Any:
     return ir.Constant(_I64, number)
 
 
-class _Record:
+class Record:
     """The record of one Gaussian, in the function under construction."""
 
     def __init__(self, context: Any, lanes: Builder, array_type: Any, array: Any, number: Any) -> None:
@@ -101,27 +112,27 @@ def find_reached_blocks(typing_context, records, number, gates, place):
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
-        record = _Record(context, lanes, sig.args[0], args[0], args[1])
+        record = Record(context, lanes, sig.args[0], args[0], args[1])
         gates = context.make_array(sig.args[2])(context, builder, args[2]).data
         # A < 0: the dilation keeps every conic positive
         steep = lanes.splat(builder.fdiv(ir.Constant(_F32, -0.5), record.scalar(3)))
-        left = lanes.given([columns[0] for columns in _COLUMNS])
-        right = lanes.given([columns[-1] for columns in _COLUMNS])
+        left = lanes.constants([columns[0] for columns in _COLUMNS])
+        right = lanes.constants([columns[-1] for columns in _COLUMNS])
         rows_most = []
         for row in range(SIDE):
-            y = lanes.given([rows[0] + row for rows in _ROWS])
+            y = lanes.constants([rows[0] + row for rows in _ROWS])
             slope = y.times_plus(record[4], record[1])
             level = y.times_plus(record[5], record[2]).times_plus(y, record[0])
             peak = (slope * steep).most(left).least(right)
             rows_most.append(record[3].times_plus(peak, slope).times_plus(peak, level))
         most = reduce(Vector.most, rows_most)
         is_open = lanes.load(gates, _int(0)).compare(">", lanes.splat(args[3]))
-        return (most.compare(">=", -_LOG2_255) & is_open).bits()
+        return (most.compare(">=", -LOG2_255) & is_open).bits()
 
     return signature, generate
 
 
-class _Pixels(NamedTuple):
+class Pixels(NamedTuple):
     """The pixels of one block that a Gaussian reaches, one in each lane.
 
     Attributes:
@@ -143,7 +154,7 @@ class _Pixels(NamedTuple):
     t: Vector
 
 
-def _each_block(lanes: Builder, state: Any, record: _Record, todo: Any, body: Callable[[_Pixels], None]) -> None:
+def visit_blocks(lanes: Builder, state: Any, record: Record, todo: Any, body: Callable[[Pixels], None]) -> None:
     """Call `body` for each block in `todo` in which a lit pixel sees the Gaussian."""
     builder = lanes.ir
     columns = lanes.table("columns", _COLUMNS)
@@ -165,25 +176,25 @@ def _each_block(lanes: Builder, state: Any, record: _Record, todo: Any, body: Ca
     across = record[4].times_plus(x, record[2])
     p = record[5].times_plus(y, across).times_plus(y, along)
     t = lanes.load(here, _int(T * LANES))
-    seen = p.compare(">=", -_LOG2_255) & t.compare(">", 0.0)
+    seen = p.compare(">=", -LOG2_255) & t.compare(">", 0.0)
     with builder.if_then(seen.any(), likely=True):
-        body(_Pixels(here, block, x, y, p, seen, t))
+        body(Pixels(here, block, x, y, p, seen, t))
     left.add_incoming(builder.and_(left, builder.sub(left, _int(1))), builder.block)
     builder.branch(head)
     builder.position_at_end(after)
 
 
-def _load(lanes: Builder, state: Any, channel: int) -> Vector:
+def load_channel(lanes: Builder, state: Any, channel: int) -> Vector:
     """Return the vector of a channel of a block."""
     return lanes.load(state, _int(channel * LANES))
 
 
-def _store(lanes: Builder, vector: Vector, state: Any, channel: int) -> None:
+def store_channel(lanes: Builder, vector: Vector, state: Any, channel: int) -> None:
     """Store a vector as a channel of a block."""
     lanes.store(vector, state, _int(channel * LANES))
 
 
-def _pass_light(lanes: Builder, pixels: _Pixels, place: Any, lit: Any) -> tuple[Vector, Vector]:
+def _pass_light(lanes: Builder, pixels: Pixels, place: Any, lit: Any) -> tuple[Vector, Vector]:
     """Return the weight of the Gaussian and the light it leaves, and store that light.
 
     A pixel that would fall to 1e-4 blends nothing: its light is kept negated and the place of the Gaussian in STOP.
@@ -194,8 +205,8 @@ def _pass_light(lanes: Builder, pixels: _Pixels, place: Any, lit: Any) -> tuple[
     after = t - share
     spent = pixels.seen & after.compare("<=", 1e-4)
     after = spent.where(t * -1.0, after)
-    _store(lanes, spent.where(lanes.splat(place), _load(lanes, pixels.state, STOP)), pixels.state, STOP)
-    _store(lanes, after, pixels.state, T)
+    store_channel(lanes, spent.where(lanes.splat(place), load_channel(lanes, pixels.state, STOP)), pixels.state, STOP)
+    store_channel(lanes, after, pixels.state, T)
     darken(lanes, pixels.block, after, lit)
     return spent.where(0.0, share), after
 
@@ -227,19 +238,21 @@ def blend(typing_context, state, records, number, todo, lit, place):
         """Emit the code."""
         data, lit_blocks = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
         lanes = Builder(builder, LANES, "float32")
-        record = _Record(context, lanes, sig.args[1], args[1], args[2])
+        record = Record(context, lanes, sig.args[1], args[1], args[2])
         features = [record[6 + k] for k in range(4)]
 
-        def body(pixels: _Pixels) -> None:
+        def body(pixels: Pixels) -> None:
             """Emit the code for one block."""
             weight, after = _pass_light(lanes, pixels, args[5], lit_blocks)
             for channel, value in zip((RED, GREEN, BLUE, DEPTH), features, strict=True):
-                _store(lanes, weight.times_plus(value, _load(lanes, pixels.state, channel)), pixels.state, channel)
+                held = load_channel(lanes, pixels.state, channel)
+                store_channel(lanes, weight.times_plus(value, held), pixels.state, channel)
             # `after` is negative where light was spent without blending: that is no crossing.
             halved = pixels.t.compare(">", 0.5) & after.compare("<=", 0.5) & after.compare(">", 0.0)
-            _store(lanes, halved.where(features[3], _load(lanes, pixels.state, MEDIAN)), pixels.state, MEDIAN)
+            median = halved.where(features[3], load_channel(lanes, pixels.state, MEDIAN))
+            store_channel(lanes, median, pixels.state, MEDIAN)
 
-        _each_block(lanes, data, record, args[3], body)
+        visit_blocks(lanes, data, record, args[3], body)
         return context.get_dummy_value()
 
     return signature, generate
@@ -268,16 +281,16 @@ def weigh(typing_context, state, records, number, todo, lit):
         """Emit the code."""
         data, lit_blocks = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
         lanes = Builder(builder, LANES, "float32")
-        record = _Record(context, lanes, sig.args[1], args[1], args[2])
+        record = Record(context, lanes, sig.args[1], args[1], args[2])
         largest, total = (cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(2))
 
-        def body(pixels: _Pixels) -> None:
+        def body(pixels: Pixels) -> None:
             """Emit the code for one block."""
             weight, _ = _pass_light(lanes, pixels, ir.Constant(_F32, 0.0), lit_blocks)
             builder.store(Vector(lanes, builder.load(largest)).most(weight).value, largest)
             builder.store((Vector(lanes, builder.load(total)) + weight).value, total)
 
-        _each_block(lanes, data, record, args[3], body)
+        visit_blocks(lanes, data, record, args[3], body)
         results = [Vector(lanes, builder.load(largest)).largest(), Vector(lanes, builder.load(total)).sum()]
         return context.make_tuple(builder, pair, results)
 
@@ -305,17 +318,17 @@ def gather(typing_context, state, records, number, todo, lit, sums, pair):
         """Emit the code."""
         data, lit_blocks, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4, 5))
         lanes = Builder(builder, LANES, "float32")
-        record = _Record(context, lanes, sig.args[1], args[1], args[2])
+        record = Record(context, lanes, sig.args[1], args[1], args[2])
         rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(3)]
 
-        def body(pixels: _Pixels) -> None:
+        def body(pixels: Pixels) -> None:
             """Emit the code for one block."""
             weight, _ = _pass_light(lanes, pixels, ir.Constant(_F32, 0.0), lit_blocks)
             for room, channel in zip(rooms, (RED, GREEN, BLUE), strict=True):
                 held = Vector(lanes, builder.load(room))
-                builder.store(weight.times_plus(_load(lanes, pixels.state, channel), held).value, room)
+                builder.store(weight.times_plus(load_channel(lanes, pixels.state, channel), held).value, room)
 
-        _each_block(lanes, data, record, args[3], body)
+        visit_blocks(lanes, data, record, args[3], body)
         totals = lanes.sums([Vector(lanes, builder.load(room)) for room in rooms])
         lanes.store_first(totals, 4, out, builder.mul(args[6], _int(4)))
         return context.get_dummy_value()
@@ -347,22 +360,22 @@ class _TakenOut(NamedTuple):
     behind: Vector
 
 
-def _take_out_of_block(lanes: Builder, record: _Record, place: Vector, pixels: _Pixels) -> _TakenOut:
+def _take_out_of_block(lanes: Builder, record: Record, place: Vector, pixels: Pixels) -> _TakenOut:
     """Take a Gaussian out of a block: store the light in front of it, and add its own to the light from behind."""
     state = pixels.state
     response = pixels.p.exp2()
-    live = pixels.seen & place.compare("<", _load(lanes, state, STOP))
+    live = pixels.seen & place.compare("<", load_channel(lanes, state, STOP))
     alpha = live.where(response.least(0.999), 0.0)
     opening = lanes.constant(1.0) / (lanes.constant(1.0) - alpha)
     front = pixels.t * opening
-    gradients = [_load(lanes, state, channel) for channel in (RED, GREEN, BLUE, DEPTH)]
+    gradients = [load_channel(lanes, state, channel) for channel in (RED, GREEN, BLUE, DEPTH)]
     shine = record[6] * gradients[0]
     for k in range(1, 4):
         shine = record[6 + k].times_plus(gradients[k], shine)
     weight = alpha * front
-    behind = _load(lanes, state, MEDIAN)
-    _store(lanes, weight.times_plus(shine, behind), state, MEDIAN)
-    _store(lanes, front, state, T)
+    behind = load_channel(lanes, state, MEDIAN)
+    store_channel(lanes, weight.times_plus(shine, behind), state, MEDIAN)
+    store_channel(lanes, front, state, T)
     return _TakenOut(live, response, weight, front, opening, gradients, shine, behind)
 
 
@@ -376,14 +389,14 @@ def take_out(typing_context, state, records, number, todo, place):
         """Emit the code."""
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
         lanes = Builder(builder, LANES, "float32")
-        record = _Record(context, lanes, sig.args[1], args[1], args[2])
+        record = Record(context, lanes, sig.args[1], args[1], args[2])
         place = lanes.splat(args[4])
 
-        def body(pixels: _Pixels) -> None:
+        def body(pixels: Pixels) -> None:
             """Emit the code for one block."""
             _take_out_of_block(lanes, record, place, pixels)
 
-        _each_block(lanes, data, record, args[3], body)
+        visit_blocks(lanes, data, record, args[3], body)
         return context.get_dummy_value()
 
     return signature, generate
@@ -418,7 +431,7 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
         """Emit the code."""
         data, totals_at = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 5))
         lanes = Builder(builder, LANES, "float32")
-        record = _Record(context, lanes, sig.args[1], args[1], args[2])
+        record = Record(context, lanes, sig.args[1], args[1], args[2])
         center_x = record[10]
         center_y = record[11]
         place = lanes.splat(args[4])
@@ -429,7 +442,7 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
             held = Vector(lanes, builder.load(rooms[k]))
             builder.store((held + value if factor is None else value.times_plus(factor, held)).value, rooms[k])
 
-        def body(pixels: _Pixels) -> None:
+        def body(pixels: Pixels) -> None:
             """Emit the code for one block."""
             out = _take_out_of_block(lanes, record, place, pixels)
             by_alpha = out.front * out.shine - out.opening * out.behind
@@ -447,7 +460,7 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
             add(8, qx, dy)
             add(9, qy, dy)
 
-        _each_block(lanes, data, record, args[3], body)
+        visit_blocks(lanes, data, record, args[3], body)
         totals = lanes.sums([Vector(lanes, builder.load(room)) for room in rooms])
         lanes.store_first(totals, 12, totals_at, builder.mul(args[6], _int(12)))
         return context.get_dummy_value()

@@ -15,6 +15,7 @@ import numpy as np
 from gsvis._kernels.compiled import kernel, njit, uncounted
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.threads import in_parts, in_threads
+from gsvis.render._kernels.lanes import LOG2_255
 
 NEAR = 0.01
 DILATION = 0.3
@@ -22,7 +23,6 @@ LOG2E = 1.4426950408889634
 FUSED = {"contract"}  # multiply-adds in one rounding; nothing else is relaxed
 BLOCK = 2048  # Gaussians that one thread takes at a time
 _ROWS = 11  # numbers of a Gaussian: mean, scales, quaternion, opacity
-_LOG2_255 = 7.994353436858858
 _ROOT_HALF = 0x3FE6A09E667F3BCD  # the bits of the root of 1/2
 _MOST_REACH = 3.33  # sqrt(2 ln 255): where the most opaque Gaussian falls below 1/255
 
@@ -232,7 +232,7 @@ def _find_splats(rows, count, viewmat, intrinsics, width, height, antialiased):
         xx = xx + DILATION
         yy = yy + DILATION
         level = _log2(opacity)
-        reach = np.sqrt(2.0 / LOG2E * max(level + _LOG2_255, 0.0)) * (1.0 + 1e-6)
+        reach = np.sqrt(2.0 / LOG2E * max(level + LOG2_255, 0.0)) * (1.0 + 1e-6)
         rows[j] = fx * u + cx
         rows[BLOCK + j] = fy * v + cy
         rows[2 * BLOCK + j] = -0.5 * LOG2E * yy / full

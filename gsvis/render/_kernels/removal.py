@@ -20,7 +20,17 @@ from gsvis._kernels.compiled import kernel, uncounted
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.simd import Builder, Vector
 from gsvis._kernels.threads import in_threads
-from gsvis.render._kernels.lanes import LANES, STOP, T, _each_block, _load, _Pixels, _Record, _store, darken
+from gsvis.render._kernels.lanes import (
+    LANES,
+    STOP,
+    Pixels,
+    Record,
+    T,
+    darken,
+    load_channel,
+    store_channel,
+    visit_blocks,
+)
 from gsvis.render._kernels.tiles import BATCH, find_lane, open_tile, prepare
 
 __all__ = ["add_pairs", "remove_tiles", "sum_squares"]
@@ -58,20 +68,20 @@ def _dim(typing_context, state, records, number, todo, lit, place):
         """Emit the code."""
         data, lit_blocks = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
         lanes = Builder(builder, LANES, "float32")
-        record = _Record(context, lanes, sig.args[1], args[1], args[2])
+        record = Record(context, lanes, sig.args[1], args[1], args[2])
 
-        def body(pixels: _Pixels) -> None:
+        def body(pixels: Pixels) -> None:
             """Emit the code for one block."""
             t = pixels.t
             after = pixels.seen.where(t - record[PRESENT] * pixels.p.exp2().least(0.999) * t, t)
             spent = pixels.seen & after.compare("<=", SPENT)
             after = spent.where(after * -1.0, after)
             behind = lanes.splat(args[5]) + 1.0
-            _store(lanes, spent.where(behind, _load(lanes, pixels.state, STOP)), pixels.state, STOP)
-            _store(lanes, after, pixels.state, T)
+            store_channel(lanes, spent.where(behind, load_channel(lanes, pixels.state, STOP)), pixels.state, STOP)
+            store_channel(lanes, after, pixels.state, T)
             darken(lanes, pixels.block, after, lit_blocks)
 
-        _each_block(lanes, data, record, args[3], body)
+        visit_blocks(lanes, data, record, args[3], body)
         return context.get_dummy_value()
 
     return signature, generate
@@ -103,36 +113,36 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
         """Emit the code."""
         data, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 5))
         lanes = Builder(builder, LANES, "float32")
-        record = _Record(context, lanes, sig.args[1], args[1], args[2])
+        record = Record(context, lanes, sig.args[1], args[1], args[2])
         color = [record[6 + k] for k in range(3)]
         place = lanes.splat(args[4])
         present = record[PRESENT]
         excess = present.times_plus(2.0, -1.0)
         rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(3)]
 
-        def body(pixels: _Pixels) -> None:
+        def body(pixels: Pixels) -> None:
             """Emit the code for one block."""
             state = pixels.state
-            live = pixels.seen & place.compare("<", _load(lanes, state, STOP))
+            live = pixels.seen & place.compare("<", load_channel(lanes, state, STOP))
             alpha = live.where(pixels.p.exp2().least(0.999), 0.0)
             held = present * alpha
             front = pixels.t / (lanes.constant(1.0) - held)
             weight = alpha * front
             totals = [Vector(lanes, builder.load(room)) for room in rooms]
             for channel in range(3):
-                behind = _load(lanes, state, BEHIND[channel])
+                behind = load_channel(lanes, state, BEHIND[channel])
                 further = behind - color[channel]
                 change = weight * further
-                residual = _load(lanes, state, RESIDUAL[channel])
+                residual = load_channel(lanes, state, RESIDUAL[channel])
                 totals[0] = totals[0] + change.most(change * -1.0)
                 totals[1] = change.times_plus(change, totals[1])
                 totals[2] = change.times_plus(residual.times_plus(2.0, excess * change), totals[2])
-                _store(lanes, (held * -1.0).times_plus(further, behind), state, BEHIND[channel])
+                store_channel(lanes, (held * -1.0).times_plus(further, behind), state, BEHIND[channel])
             for room, total in zip(rooms, totals, strict=True):
                 builder.store(total.value, room)
-            _store(lanes, front, state, T)
+            store_channel(lanes, front, state, T)
 
-        _each_block(lanes, data, record, args[3], body)
+        visit_blocks(lanes, data, record, args[3], body)
         results = lanes.sums([Vector(lanes, builder.load(room)) for room in rooms])
         lanes.store_first(results, 4, out, builder.mul(args[6], ir.Constant(ir.IntType(64), 4)))
         return context.get_dummy_value()

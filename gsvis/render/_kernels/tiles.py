@@ -16,6 +16,7 @@ from gsvis.render._kernels.lanes import (
     BLOCKS,
     CHANNELS,
     LANES,
+    LOG2_255,
     RECORD,
     SIDE,
     TILE,
@@ -26,7 +27,6 @@ from gsvis.render._kernels.lanes import (
     weigh,
 )
 
-_LOG2_255 = 7.994353436858858
 BLOCK = 1 << 11  # splats that one thread takes at a time
 BATCH = 32  # Gaussians prepared at a time
 _MARGIN = 1e-3  # pixels; a surplus tile costs little, a missing tile shows as an edge
@@ -42,7 +42,7 @@ def _outline(splat):
     a = -splat[2]
     b = -splat[3]
     c = -splat[4]
-    return -b * splat[6] / (2.0 * c), 0.5 / a, b, b * b - 4.0 * a * c, 4.0 * a * (splat[5] + _LOG2_255)
+    return -b * splat[6] / (2.0 * c), 0.5 / a, b, b * b - 4.0 * a * c, 4.0 * a * (splat[5] + LOG2_255)
 
 
 @uncounted
