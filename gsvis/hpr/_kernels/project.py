@@ -24,6 +24,7 @@ __all__ = [
     "ROOT",
     "ROWS",
     "TAKEN",
+    "TOP",
     "X0",
     "X1",
     "Y0",
@@ -37,10 +38,10 @@ __all__ = [
 COLUMNS = 64
 """Gaussians that are projected together."""
 _V, _Z, _SIGMAS, _STAND, _UU, _VV, _WW, _UV, _UW, _VW = (np.uint64(k * COLUMNS) for k in range(1, 11))
-X0, X1, Y0, Y1, PX, PY, TAKEN, ROOT, FAR = (np.uint64(k * COLUMNS) for k in range(11, 20))
+X0, X1, Y0, Y1, PX, PY, TAKEN, ROOT, FAR, TOP = (np.uint64(k * COLUMNS) for k in range(11, 21))
 """First and last column, first and last row, place of the center, share of the weight that is taken from the light,
-root of the cover, distance."""
-ROWS = 20
+root of the cover, distance, log2 of the opacity."""
+ROWS = 21
 """Quantities of the table of float32."""
 B = np.uint64(COLUMNS)
 C = np.uint64(2 * COLUMNS)
@@ -68,6 +69,7 @@ def gather(near, covars, eye, face, keys, first, count, given):
         given[k + _V] = near[i, av] - eye[av]
         given[k + _Z] = sign * (near[i, axis] - eye[axis])
         given[k + _SIGMAS] = near[i, 4]
+        given[k + TOP] = near[i, 6]
         given[k + _STAND] = np.float32(1 << ((np.int64(key) >> np.int64(STANDS)) & 7))
         given[k + _UU] = covars[i, _UPPER[au, au]]
         given[k + _VV] = covars[i, _UPPER[av, av]]

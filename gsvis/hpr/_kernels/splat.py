@@ -14,23 +14,31 @@ neighbors takes the light of all (Cook et al. 2007, "Stochastic simplification o
 
 from __future__ import annotations
 
-import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gsvis._kernels.bits import bits_of, lowest
-from gsvis._kernels.compiled import inner, kernel, njit, uncounted
+from gsvis._kernels.compiled import inner, kernel, uncounted
 from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.shared import raise_to, take_next
 from gsvis._kernels.threads import in_threads
 from gsvis.hpr._kernels import project as table
-from gsvis.hpr._kernels.block import LANES, STRIDE, blend_block, take_largest
+from gsvis.hpr._kernels.block import (
+    HEIGHT,
+    LANES,
+    RECORD,
+    STRIDE,
+    blend_bands,
+    find_bands,
+    rows_with_light,
+    take_largest,
+)
 from gsvis.hpr._kernels.keys import BELOW, PLACES, STANDS, row_of, sort_keys
 from gsvis.hpr._kernels.reach import CLUSTER, PLACED, find_reaching
 
 SQUARE = 64
 _ROUND = 256  # Gaussians collected for a square before the nearest are splatted
-_SOON = 4  # Gaussians between the one that is splatted and the one whose place of its result is loaded
 _LAST_COLUMN, _FIRST_ROW, _LAST_ROW, _DISTANCE, _COVER = (np.uint64(k * LANES) for k in range(1, PLACED))
 _ONE = np.float32(1.0)
 _HALF = np.float32(0.5)
@@ -38,6 +46,35 @@ _NONE = np.uint64(0)
 _ALL = np.uint64(2**64 - 1)
 _MOST_STANDS = 4
 _SPECKS = np.float32(0.25)  # most of a pixel's light that a speck may take for others
+_FORM = np.uint64(6)  # numbers of a record before the share of the weight that is taken, and the distance
+_BANDS = np.int64(2**32 - 1)  # the part of a block's word that holds its bands
+_X = np.int64(32)  # bits of a block's word below its column, its row and the column of its Gaussian
+_Y = np.int64(40)
+_K = np.int64(48)
+_BLOCKS = 64  # blocks that are found before the Gaussians of all are blended
+_MOST_BLOCKS = (SQUARE // LANES) ** 2  # of a Gaussian
+
+
+class Brush(NamedTuple):
+    """Room for the Gaussians that are splatted together, `COLUMNS` of `project.py`.
+
+    Attributes:
+        given: (ROWS * COLUMNS,) float32 and
+        forms: (FORMS * COLUMNS,) float64, as in `project.py`.
+        records: (RECORD * 64,) float32, the records of blocks; see `block.py`.
+        blocks: (64,) int64, the words of blocks: bands, column and row in the square, column of the Gaussian.
+        places: (COLUMNS,) int64, where the result of each Gaussian goes in `best`; negative for nowhere.
+        most: (32 * COLUMNS,) float32, zeros, the largest weight and light of each Gaussian, lane by lane.
+        deep: Whether depths are kept.
+    """
+
+    given: Any
+    forms: Any
+    records: Any
+    blocks: Any
+    places: Any
+    most: Any
+    deep: bool
 
 
 @inner
@@ -49,20 +86,12 @@ def _column_mask(first, last):
 @uncounted
 def _any_lit(lit, x0, x1, y0, y1):
     """Return whether a pixel of a rectangle has light left."""
+    pixels = _column_mask(x0, x1)
     found = _NONE
-    for y in range(np.uint64(y0), np.uint64(y1 + 1)):  # unsigned: no index counts from the end
-        found |= lit[y]
-    return found & _column_mask(x0, x1) != _NONE
-
-
-@njit(cache=True)
-def _pixels(center, radius, count):
-    """Return the first and the last of `count` pixels whose centers lie within `radius` of `center`."""
-    low = center - radius - _HALF
-    high = center + radius - _HALF
-    first = math.ceil(min(max(low, -1.0), 1e4))
-    last = math.floor(min(max(high, -1.0), 1e4))
-    return max(first, 0), min(last, count - 1)
+    for y in range(y0, y1 + 1, LANES):
+        rows = _ALL >> np.uint64(64 - min(y1 + 1 - y, LANES))
+        found |= rows_with_light(lit, pixels, y) & rows
+    return found != _NONE
 
 
 @inner
@@ -110,12 +139,22 @@ def _stands_for(cover):
 
 
 @uncounted
-def _meet(columns, sought, eye, face, corner, extent, half, c, lit, box, placed, keys, held):
+def _load_row(near, covars, ids, i):
+    """Start to load what `project` reads of Gaussian i, and its number."""
+    prefetch(near, 8 * i)
+    prefetch(covars, 6 * i)
+    prefetch(covars, 6 * i + 5)
+    prefetch(ids, i)
+
+
+@uncounted
+def _meet(scene, sought, eye, face, corner, extent, half, c, lit, box, placed, keys, held):
     """Add the members of cluster c that may reach a lit pixel of the square to the keys; return their number.
 
     A key holds the bits of the squared distance, the power of two of specks for which the member stands, and the row.
     No lit pixel lies outside `box`.
     """
+    near, covars, columns, ids = scene
     known, least = sought
     axis = face >> 1
     au = 1 if axis == 0 else 0
@@ -146,30 +185,29 @@ def _meet(columns, sought, eye, face, corner, extent, half, c, lit, box, placed,
                 continue
             row = np.uint64(c * CLUSTER + k) | (np.uint64(stands) << STANDS)
             keys[held] = (bits_of(placed[lane + _DISTANCE]) << BELOW) | row
+            _load_row(near, covars, ids, c * CLUSTER + k)
             held += 1
     return held
 
 
 @uncounted
-def _splat(given, forms, k, top, place, spent, square, lit, most, best):
-    """Splat the Gaussian in column k of `project` onto a square; return the number of pixels whose light it ends.
-
-    `top` is the log2 of its opacity. `place` is where its result goes in `best`; negative for nowhere.
-    """
+def _find_blocks(brush, k, lit, count):
+    """Add the blocks of a square in which light meets the Gaussian in column k of a table; return their number."""
+    given = brush.given
+    forms = brush.forms
+    records = brush.records
     x0 = np.int64(given[k + table.X0])
     x1 = np.int64(given[k + table.X1])
     y0 = np.int64(given[k + table.Y0])
     y1 = np.int64(given[k + table.Y1])
     if x0 > x1 or y0 > y1:
-        return 0
+        return count
     px = np.float64(given[k + table.PX])
     py = np.float64(given[k + table.PY])
+    top = np.float64(given[k + table.TOP])
     qa = forms[k]
     qb = forms[k + table.B]
     qc = forms[k + table.C]
-    taken = given[k + table.TAKEN]
-    far = given[k + table.FAR]
-    darkened = 0
     for y in range(y0, y1 + 1, LANES):
         dy = y + 0.5 - py
         for x in range(x0, x1 + 1, LANES):
@@ -182,15 +220,47 @@ def _splat(given, forms, k, top, place, spent, square, lit, most, best):
                 np.float32(qb),
                 np.float32(qc),
             )
-            darkened += blend_block(square, lit, form, spent, taken, far, x, y, min(y1 + 1 - y, LANES), most)
-    weight = take_largest(most, 0) * given[k + table.ROOT]
-    clear = take_largest(most, 1)
-    if place >= 0 and clear >= spent:
-        if weight > best[place]:
-            raise_to(best, place, weight)
-        if clear > best[place + 1]:
-            raise_to(best, place + 1, clear)
+            at = np.uint64(RECORD * count)
+            for j in range(_FORM):
+                records[at + j] = form[j]
+            records[at + _FORM] = given[k + table.TAKEN]
+            records[at + _FORM + np.uint64(1)] = given[k + table.FAR]
+            bands = find_bands(lit, form, x, y, min(y1 + 1 - y, LANES))
+            brush.blocks[np.uint64(count)] = bands | x << _X | y << _Y | np.int64(k) << _K
+            count += bands != 0  # a branch could not be foreseen
+    return count
+
+
+@uncounted
+def _blend(square, lit, brush, count, spent):
+    """Blend Gaussians into the first `count` blocks, in order; return the number of pixels whose light they end."""
+    darkened = 0
+    for n in range(count):
+        block = brush.blocks[np.uint64(n)]
+        bands = block & _BANDS
+        x = block >> _X & 63
+        y = block >> _Y & 63
+        k = block >> _K
+        darkened += blend_bands(square, lit, brush.records, n, bands, x, y, spent, brush.most, k, brush.deep)
     return darkened
+
+
+@uncounted
+def _raise_best(brush, count, spent, best):
+    """Raise the results of the first `count` Gaussians of a table, and empty `brush.most`."""
+    given = brush.given
+    for k in range(np.uint64(count)):
+        given[k + table.X0] = take_largest(brush.most, np.int64(2 * k)) * given[k + table.ROOT]
+        given[k + table.X1] = take_largest(brush.most, np.int64(2 * k) + 1)
+    for k in range(np.uint64(count)):
+        weight = given[k + table.X0]
+        clear = given[k + table.X1]
+        place = brush.places[k]
+        if place >= 0 and clear >= spent:
+            if weight > best[place]:
+                raise_to(best, place, weight)
+            if clear > best[place + 1]:
+                raise_to(best, place + 1, clear)
 
 
 @uncounted
@@ -217,15 +287,6 @@ def _is_reached(rectangles, count, corner, extent):
 
 
 @uncounted
-def _load_row(near, covars, ids, i):
-    """Start to load what `_splat` reads of Gaussian i."""
-    prefetch(near, 8 * i)
-    prefetch(covars, 6 * i)
-    prefetch(covars, 6 * i + 5)
-    prefetch(ids, i)
-
-
-@uncounted
 def _load_cluster(columns, c):
     """Start to load the members of cluster c."""
     for line in range(0, 5 * CLUSTER, 16):
@@ -233,11 +294,11 @@ def _load_cluster(columns, c):
 
 
 @uncounted
-def _collect(columns, sought, eye, face, corner, extent, half, nearest, rectangles, order, lit, placed, keys, at, held):
+def _collect(scene, sought, eye, face, corner, extent, half, nearest, rectangles, order, lit, placed, keys, at, held):
     """Add members of the next clusters to the keys, until there are enough for a round or no room is left.
 
     Args:
-        columns: Of the `Splats`.
+        scene: As in `splat_squares`.
         sought: As in `splat_squares`.
         eye: (3,) float32.
         face: Number of the face.
@@ -277,12 +338,12 @@ def _collect(columns, sought, eye, face, corner, extent, half, nearest, rectangl
             break
         at += 1
         if _any_lit(lit, x0, x1, y0, y1):
-            _load_cluster(columns, c)
+            _load_cluster(scene[2], c)
             if loading >= 0:
-                held = _meet(columns, sought, eye, face, corner, extent, half, loading, lit, box, placed, keys, held)
+                held = _meet(scene, sought, eye, face, corner, extent, half, loading, lit, box, placed, keys, held)
             loading = c
     if loading >= 0:
-        held = _meet(columns, sought, eye, face, corner, extent, half, loading, lit, box, placed, keys, held)
+        held = _meet(scene, sought, eye, face, corner, extent, half, loading, lit, box, placed, keys, held)
     return at, held, horizon
 
 
@@ -291,45 +352,44 @@ def _divide(keys, held, horizon, ready):
     """Move the keys below `horizon` to `ready`; return the numbers of keys that stay and that moved."""
     kept = np.int64(0)
     chosen = np.int64(0)
-    for k in range(held):
-        if keys[k] < horizon:
-            ready[chosen] = keys[k]
-            chosen += 1
-        else:
-            keys[kept] = keys[k]
-            kept += 1
+    for k in range(np.uint64(held)):
+        key = keys[k]
+        ready[np.uint64(chosen)] = key
+        keys[np.uint64(kept)] = key
+        moved = key < horizon  # a branch could not be foreseen
+        chosen += moved
+        kept += 1 - moved
     return kept, chosen
 
 
 @uncounted
 def _splat_all(scene, sought, eye, face, corner, extent, half, spent, keys, count, square, lit, brush, best, left):
-    """Splat the Gaussians of the first `count` keys in order; return the number of pixels that have light left.
-
-    `brush` is (most, given, forms), room for `blend_block` and `project`.
-    """
+    """Splat the Gaussians of the first `count` keys in order; return the number of pixels that have light left."""
     near, covars, _, ids = scene
     known, least = sought
-    most, given, forms = brush
     sign = np.float32(1.0 - 2.0 * (face & 1))
-    for k in range(min(count, table.COLUMNS)):
-        _load_row(near, covars, ids, row_of(keys[k]))
     for first in range(0, count, table.COLUMNS):
         some = min(count - first, table.COLUMNS)
         for k in range(first + table.COLUMNS, min(first + 2 * table.COLUMNS, count)):
             _load_row(near, covars, ids, row_of(keys[k]))
-        table.gather(near, covars, eye, face, keys, first, some, given)
-        table.project(sign, corner, extent, half, given, forms)
+        table.gather(near, covars, eye, face, keys, first, some, brush.given)
+        table.project(sign, corner, extent, half, brush.given, brush.forms)
+        found = np.int64(0)
         for k in range(some):
             row = row_of(keys[first + k])
             place = np.int64(-1)
             if least <= np.float32(0.0) or not _is_known(known, row):
                 place = 2 * ids[row]
-            if k + _SOON < some:
-                prefetch(best, 2 * ids[row_of(keys[first + k + _SOON])])
-            top = np.float64(near[row, 6])
-            left -= _splat(given, forms, np.uint64(k), top, place, spent, square, lit, most, best)
-            if left == 0:
-                return left
+                prefetch(best, place)
+            brush.places[k] = place
+            found = _find_blocks(brush, np.uint64(k), lit, found)
+            if found > _BLOCKS - _MOST_BLOCKS:
+                left -= _blend(square, lit, brush, found, spent)
+                found = np.int64(0)
+        left -= _blend(square, lit, brush, found, spent)
+        _raise_best(brush, some, spent, best)
+        if left == 0:
+            return left
     return left
 
 
@@ -342,7 +402,6 @@ def _fill(
     `room` is (waiting, ready, spare, tally, placed): keys of Gaussians that farther ones may still precede, arrays to
     sort in, and that of `find_reaching`.
     """
-    columns = scene[2]
     waiting, ready, spare, tally, placed = room
     # literals would compile what is called twice
     left = _open(square, lit, extent)
@@ -352,7 +411,7 @@ def _fill(
         if held + _ROUND + 2 * CLUSTER > len(waiting):
             waiting = _enlarge(waiting, held)
         at, held, horizon = _collect(
-            columns, sought, eye, face, corner, extent, half, nearest, rectangles, order, lit, placed, waiting, at, held
+            scene, sought, eye, face, corner, extent, half, nearest, rectangles, order, lit, placed, waiting, at, held
         )
         while len(ready) < held:
             ready = _enlarge(ready, held)
@@ -398,12 +457,19 @@ def splat_squares(
     turn = take_next(taken)
     if turn >= 6 * side * side:
         return
-    square = np.empty((2, SQUARE, STRIDE), np.float32)
+    square = np.zeros((2, HEIGHT, STRIDE), np.float32)
     lit = np.zeros(SQUARE + LANES, np.uint64)
     sorting = np.empty(PLACES + 1, np.int64), np.empty(PLACED * LANES, np.float32)
     room = np.empty(2048, np.uint64), np.empty(2048, np.uint64), np.empty(2048, np.uint64), sorting[0], sorting[1]
-    columns = np.zeros(table.ROWS * table.COLUMNS, np.float32), np.zeros(table.FORMS * table.COLUMNS)
-    brush = np.zeros(2 * LANES, np.float32), columns[0], columns[1]
+    brush = Brush(
+        np.zeros(table.ROWS * table.COLUMNS, np.float32),
+        np.zeros(table.FORMS * table.COLUMNS),
+        np.empty(RECORD * _BLOCKS, np.float32),
+        np.empty(_BLOCKS, np.int64),
+        np.empty(table.COLUMNS, np.int64),
+        np.zeros(2 * LANES * table.COLUMNS, np.float32),
+        depths.shape[1] > 0,
+    )
     corner = np.empty(2, np.float32)
     extent = np.empty(2, np.int64)
     while turn < 6 * side * side:
