@@ -13,7 +13,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-__all__ = ["raise_to", "share", "take_next"]
+__all__ = ["raise_to", "share", "take", "take_next"]
 
 _I64 = ir.IntType(64)
 _BYTES = ir.IntType(8).as_pointer()
@@ -92,6 +92,19 @@ def take_next(typing_context: Any, counter: Any) -> Any:
         return builder.atomic_rmw("add", place, ir.Constant(_I64, 1), "monotonic")
 
     return types.int64(counter), build
+
+
+@intrinsic
+def take(typing_context: Any, counter: Any, count: Any) -> Any:
+    """Return the first entry of an int64 array and add `count` to it, atomically."""
+    del typing_context, count
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        """Build an atomic addition."""
+        place = context.make_array(signature.args[0])(context, builder, args[0]).data
+        return builder.atomic_rmw("add", place, args[1], "monotonic")
+
+    return types.int64(counter, types.int64), build
 
 
 @intrinsic

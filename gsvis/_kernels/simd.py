@@ -69,12 +69,15 @@ class Vector:
         b, c = (v if isinstance(v, Vector) else self.home.constant(v) for v in (factor, addend))
         return self.home.call("llvm.fma", self, b, c)
 
-    def exp2(self) -> Vector:
-        """Return 2^self of float32 lanes up to 126, within about one ulp; 2^-126 for lanes below -126."""
+    def exp2(self, *, bounded: bool = True) -> Vector:
+        """Return 2^self of float32 lanes up to 126, within about one ulp.
+
+        Lanes below -126 give 2^-126, or anything if not `bounded`, for callers that select others.
+        """
         home = self.home
-        bounded = self.most(-126.0)
-        whole = home.call("llvm.nearbyint", bounded)
-        part = bounded - whole
+        power = self.most(-126.0) if bounded else self
+        whole = home.call("llvm.nearbyint", power)
+        part = power - whole
         # Estrin's scheme: powers in parallel, because Horner's chain of operations would be slower.
         square = part * part
         c0, c1, c2, c3, c4, c5, c6 = _EXP2
@@ -154,6 +157,22 @@ class Builder:
         nothing = ir.Constant(self.type, ir.Undefined)
         single = self.ir.insert_element(nothing, scalar, ir.Constant(_I32, 0))
         return Vector(self, self.ir.shuffle_vector(single, nothing, self.splat_int(0)))
+
+    def join(self, vectors: Sequence[Vector]) -> Vector:
+        """Return one vector with the lanes of several, whose number is a power of two."""
+        values = [vector.value for vector in vectors]
+        lanes = self.lanes // len(values)
+        while len(values) > 1:
+            lanes *= 2
+            kind = ir.Constant(ir.VectorType(_I32, lanes), list(range(lanes)))
+            values = [self.ir.shuffle_vector(a, b, kind) for a, b in zip(values[::2], values[1::2], strict=True)]
+        return Vector(self, values[0])
+
+    def parts(self, vector: Vector) -> list[Vector]:
+        """Return the vectors of `lanes` lanes that one of `join` consists of."""
+        starts = range(0, vector.home.lanes, self.lanes)
+        masks = [ir.Constant(ir.VectorType(_I32, self.lanes), list(range(k, k + self.lanes))) for k in starts]
+        return [Vector(self, self.ir.shuffle_vector(vector.value, vector.value, mask)) for mask in masks]
 
     def call(self, name: str, *arguments: Vector) -> Vector:
         """Call an LLVM intrinsic with vectors, such as llvm.nearbyint, and return its result."""

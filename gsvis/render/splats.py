@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.color.sh import write_sh_colors
+from gsvis.render._kernels import lists as _lists
 from gsvis.render._kernels import order as _kernels_order
 from gsvis.render._kernels import project as _kernels_project
 from gsvis.render._kernels import tiles as _kernels_tiles
@@ -150,7 +151,7 @@ def project_splats(scene: Any, view: View, *, antialiased: bool, shown: Mask | N
     places = np.zeros(len(counts) + 1, np.int64)
     np.cumsum(counts, out=places[1:])
     ids = np.empty(places[-1], np.int32)
-    splats = np.empty((places[-1], 8))
+    splats = _cache_lines(places[-1])
     depths = np.empty(places[-1], np.float32)
     _kernels_project.project(arrays, *camera, antialiased, found, places, ids, splats, depths, counts)
     m = _kernels_project.close_gaps(places, counts, ids, splats, depths)
@@ -160,6 +161,13 @@ def project_splats(scene: Any, view: View, *, antialiased: bool, shown: Mask | N
     if factor != 1.0:
         depths /= np.float32(factor)
     return ids, splats, depths
+
+
+def _cache_lines(count: int) -> F64:
+    """Return `count` rows of eight float64, one cache line each."""
+    room = np.empty(8 * count + 8)
+    first = -room.ctypes.data % 64 // 8
+    return room[first : first + 8 * count].reshape(count, 8)
 
 
 def in_usual_units(scene: Any, view: View, factor: float) -> tuple[Any, Any, F64]:
@@ -198,25 +206,24 @@ def _sort_splats(scene: Any, ids: I32, depths: F32) -> I32:
 
 def _list_tiles(splats: F64, order: I32, view: View, *, pairs: bool) -> tuple[I64, I32, I32, I64]:
     """Return offsets, members, pair_of and first_pair of `Projected`."""
-    m, (tiles_x, tiles_y) = len(splats), view.tiles
-    room = np.zeros(-(-m // _kernels_tiles.BLOCK) + 1, np.int64)
-    _kernels_tiles.count_candidates(splats, tiles_x, tiles_y, room[1:])
-    np.cumsum(room, out=room)
-    met = np.empty(int(room[-1]) + 1, np.int32)
-    spans = np.empty((m, 2), np.int32)
-    met[-1] = 0  # read but unused if the last splat meets no tile
-    _kernels_tiles.meet_tiles(splats, room, tiles_x, tiles_y, met, spans)
+    m = len(splats)
+    tiles_x, tiles_y = view.tiles
+    boxes = np.zeros(-(-m // _lists.BLOCK), np.int64)
+    _lists.count_boxes(splats, tiles_x, tiles_y, boxes)
+    starts = np.empty(-(-m // _lists.PART), np.int64)
+    met = np.empty(boxes.sum() + _lists.SURPLUS * len(starts), np.int32)
+    spans = np.empty(m, np.int32)
     chunks = max(1, min(_CHUNKS * get_num_threads(), m // _BLOCK))
     places = np.zeros((chunks, tiles_x * tiles_y), np.int32)
-    sums = np.zeros(chunks + 1, np.int64)
-    _kernels_tiles.count_tiles(order, spans, room, met, places, sums[1:])
+    sums = np.zeros(chunks, np.int64)
+    _lists.meet_tiles(order, splats, tiles_x, tiles_y, np.zeros(1, np.int64), met, starts, spans, places, sums)
     offsets = np.zeros(tiles_x * tiles_y + 1, np.int64)
     _kernels_order.place_blocks(places, offsets[1:])
-    first_pair = np.empty(m + 1, np.int64)
-    first_pair[m * np.arange(chunks + 1) // chunks] = np.cumsum(sums)
     members = np.empty(int(offsets[-1]), np.int32)
     pair_of = np.empty(len(members) if pairs else 0, np.int32)
-    _kernels_tiles.fill_tiles(order, spans, room, met, places, first_pair, members, pair_of)
+    first_pair = np.empty(m + 1, np.int64)
+    first_pair[m] = len(members)
+    _lists.fill_tiles(order, starts, spans, met, places, np.cumsum(sums) - sums, members, pair_of, first_pair)
     return offsets, members, pair_of, first_pair
 
 

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import kernel, uncounted
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.threads import in_parts, in_threads
-from gsvis.render._kernels.lanes import gather, weigh
-from gsvis.render._kernels.tiles import BATCH, find_lane, open_tile, prepare_shapes
+from gsvis.render._kernels.forward import gather, list_by_block, take_sums, take_weight
+from gsvis.render._kernels.lanes import BATCH, BLOCKS, LANES
+from gsvis.render._kernels.tiles import allocate, find_lane, open_tile, prepare_shapes, weigh_some
 
 __all__ = ["gather_tiles", "mark_blended", "sum_shares"]
 
@@ -32,6 +33,8 @@ def mark_blended(taken, splats, offsets, members, tiles_x, width, height, marks)
         marks: (M,) uint8, zeros.
     """
     tiles = len(offsets) - 1
+    by_block = np.empty(BLOCKS, np.int64)
+    sums = allocate(np.int64((BATCH + 1) * 2 * LANES)).reshape((BATCH + 1, 2, LANES))
     tile = take_next(taken)
     while tile < tiles:
         place, (first, total), room = open_tile(tile, offsets, tiles_x, width, height)
@@ -42,11 +45,21 @@ def mark_blended(taken, splats, offsets, members, tiles_x, width, height, marks)
                 break
             count = min(BATCH, total - start)
             prepare_shapes(splats, members, first, start, count, left, top, gates, records, todo)
+            list_by_block(todo, count, by_block)
+            weigh_some(state, records, by_block, lit, sums)
             for j in range(count):
-                largest, _ = weigh(state, records, j, todo[j] & lit[0], lit)
+                largest, _ = take_weight(sums, j)
                 if largest > 0.0:
                     marks[members[first + start + j]] = 1  # threads write the same value
         tile = take_next(taken)
+
+
+@uncounted
+def _gather_some(state, records, by_block, lit, sums):
+    """Gather for prepared Gaussians at the lit blocks that they reach; `sums` (BATCH + 1, 3, LANES) is `gather`'s."""
+    for block in range(BLOCKS):
+        if by_block[block] and (lit[0] >> block) & 1:
+            gather(state, block, records, by_block[block], lit, sums)
 
 
 @in_threads(lambda splats, offsets, *_: len(offsets) - 1)
@@ -66,6 +79,8 @@ def gather_tiles(taken, splats, offsets, members, pair_of, tiles_x, v_image, out
     """
     height, width, _ = v_image.shape
     tiles = len(offsets) - 1
+    by_block = np.empty(BLOCKS, np.int64)
+    sums = allocate(np.int64((BATCH + 1) * 3 * LANES)).reshape((BATCH + 1, 3, LANES))
     tile = take_next(taken)
     while tile < tiles:
         place, (first, total), room = open_tile(tile, offsets, tiles_x, width, height)
@@ -80,8 +95,10 @@ def gather_tiles(taken, splats, offsets, members, pair_of, tiles_x, v_image, out
         while done < total and lit[0] != 0:
             count = min(BATCH, total - done)
             prepare_shapes(splats, members, first, done, count, left, top, gates, records, todo)
+            list_by_block(todo, count, by_block)
+            _gather_some(state, records, by_block, lit, sums)
             for j in range(count):
-                gather(state, records, j, todo[j] & lit[0], lit, out, np.int64(pair_of[first + done + j]))
+                take_sums(sums, j, out, np.int64(pair_of[first + done + j]))
             done += count
         for k in range(first + done, first + total):
             for e in range(4):

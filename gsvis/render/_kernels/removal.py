@@ -8,30 +8,33 @@ number of threads.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
 from gsvis._kernels.compiled import kernel, uncounted
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.simd import Builder, Vector
 from gsvis._kernels.threads import in_threads
+from gsvis.render._kernels.forward import Held, list_by_block, pass_members, take_sums
 from gsvis.render._kernels.lanes import (
+    BATCH,
+    BLOCKS,
     LANES,
+    PLACE,
     STOP,
-    Pixels,
     Record,
     T,
+    as_int,
+    block_of,
     darken,
     load_channel,
     store_channel,
-    visit_blocks,
 )
-from gsvis.render._kernels.tiles import BATCH, find_lane, open_tile, prepare
+from gsvis.render._kernels.tiles import allocate, find_lane, open_tile, prepare
 
 __all__ = ["add_pairs", "remove_tiles", "sum_squares"]
 
@@ -47,121 +50,124 @@ RESIDUAL = (4, 5, 7)
 
 
 @intrinsic
-def _dim(typing_context, state, records, number, todo, lit, place):
-    """Let one Gaussian take its light from a tile, according to its presence, going front to back.
+def _dim(typing_context, state, block, records, members, lit):
+    """Let Gaussians take their light from one block of a tile, according to their presence, going front to back.
 
     A pixel whose light falls to SPENT keeps it negated, and in STOP the place behind the Gaussian that took it.
 
     Args:
         typing_context: numba's, unused.
         state: (BLOCKS, CHANNELS, LANES) float32.
-        records: (K, 16) float32.
-        number: Index of the record.
-        todo: int64, blocks that the Gaussian reaches.
-        lit: (1,) int64, blocks with light left; bits are cleared as it is spent.
-        place: float32, place of the Gaussian in the tile's list.
+        block: Number of the block.
+        records: (BATCH + 1, RECORD) float32; the last reaches nothing.
+        members: int64, the records to take, as bits.
+        lit: (1,) int64, blocks with light left; the bit is cleared if it is spent.
     """
     del typing_context
-    signature = types.void(state, records, types.int64, types.int64, lit, types.float32)
+    signature = types.void(state, types.int64, records, types.int64, lit)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
         data, lit_blocks = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
         lanes = Builder(builder, LANES, "float32")
-        record = Record(context, lanes, sig.args[1], args[1], args[2])
+        here, x, y = block_of(lanes, data, args[1])
+        records = partial(Record, context, lanes, sig.args[2], args[2])
+        given = [load_channel(lanes, here, channel) for channel in (T, STOP)]
+        given.append(given[0].most(0.0))
 
-        def body(pixels: Pixels) -> None:
-            """Emit the code for one block."""
-            t = pixels.t
-            after = pixels.seen.where(t - record[PRESENT] * pixels.p.exp2().least(0.999) * t, t)
-            spent = pixels.seen & after.compare("<=", SPENT)
-            after = spent.where(after * -1.0, after)
-            behind = lanes.splat(args[5]) + 1.0
-            store_channel(lanes, spent.where(behind, load_channel(lanes, pixels.state, STOP)), pixels.state, STOP)
-            store_channel(lanes, after, pixels.state, T)
-            darken(lanes, pixels.block, after, lit_blocks)
+        def body(number: Any, record: Record, alpha: Vector, held: Held) -> Held:
+            """Return what is left, where it ended, and the falling light behind a Gaussian."""
+            del number
+            left, stop, light = held
+            after = light - record[PRESENT] * alpha * light
+            is_lit = light.compare(">", SPENT)
+            return [is_lit.where(after, left), is_lit.where(record[PLACE], stop), after]
 
-        visit_blocks(lanes, data, record, args[3], body)
+        left, stop, light = pass_members(lanes, records, args[3], (x, y), given, body)
+        left = light.compare(">", SPENT).where(left, left.most(left * -1.0) * -1.0)
+        store_channel(lanes, left, here, T)
+        store_channel(lanes, stop, here, STOP)
+        darken(lanes, args[1], left, lit_blocks)
         return context.get_dummy_value()
 
     return signature, generate
 
 
 @intrinsic
-def _remove(typing_context, state, records, number, todo, place, sums, pair):
-    """Pass one Gaussian of a tile, going back to front, and sum how its absence and its presence change the pixels.
+def _remove(typing_context, state, block, records, members, sums):
+    """Pass the Gaussians of one block of a tile, going back to front; sum how absence and presence change its pixels.
 
     The state holds the transmittance behind the Gaussian in T, the color behind it under full light in BEHIND, and the
     image minus the target in RESIDUAL.
 
     Args:
         typing_context: numba's, unused.
-        state: (BLOCKS, CHANNELS, LANES) float32.
-        records: (K, 16) float32.
-        number: Index of the record.
-        todo: int64, blocks that the Gaussian reaches.
-        place: float32, place of the Gaussian in the tile's list; pixels whose STOP it reaches never blended it.
-        sums: (P, 4) float32, receives in row `pair` the sums over pixels and channels of |d|, d^2 and
-            d (2 r + (2 p - 1) d), where d is a value without the Gaussian minus the value with all of it, r its
-            residual with the share p of it; and a zero.
-        pair: Row of `sums`.
+        state: (BLOCKS, CHANNELS, LANES) float32; pixels whose STOP a Gaussian's PLACE exceeds never blended it.
+        block: Number of the block.
+        records: (BATCH + 1, RECORD) float32; the last reaches nothing.
+        members: int64, the records to pass, as bits.
+        sums: (BATCH + 1, 3, LANES) float32, to which for each record the sums over pixels and channels of |d|, d^2 and
+            d (2 r + (2 p - 1) d) are added, where d is a value without the Gaussian minus the value with all of it, r
+            its residual with the share p of it.
     """
     del typing_context
-    signature = types.void(state, records, types.int64, types.int64, types.float32, sums, types.int64)
+    signature = types.void(state, types.int64, records, types.int64, sums)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
-        data, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 5))
+        data, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
         lanes = Builder(builder, LANES, "float32")
-        record = Record(context, lanes, sig.args[1], args[1], args[2])
-        color = [record[6 + k] for k in range(3)]
-        place = lanes.splat(args[4])
-        present = record[PRESENT]
-        excess = present.times_plus(2.0, -1.0)
-        rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(3)]
+        here, x, y = block_of(lanes, data, args[1])
+        records = partial(Record, context, lanes, sig.args[2], args[2])
+        stop = load_channel(lanes, here, STOP)
+        residuals = [load_channel(lanes, here, channel) for channel in RESIDUAL]
 
-        def body(pixels: Pixels) -> None:
-            """Emit the code for one block."""
-            state = pixels.state
-            live = pixels.seen & place.compare("<", load_channel(lanes, state, STOP))
-            alpha = live.where(pixels.p.exp2().least(0.999), 0.0)
-            held = present * alpha
-            front = pixels.t / (lanes.constant(1.0) - held)
+        def body(number: Any, record: Record, alpha: Vector, held: Held) -> Held:
+            """Return the light and the color in front of a Gaussian, and add its sums."""
+            t, *colors = held
+            present = record[PRESENT]
+            excess = present.times_plus(2.0, -1.0)
+            alpha = stop.compare(">=", record[PLACE]).where(alpha, 0.0)
+            share = present * alpha
+            front = t / (lanes.constant(1.0) - share)
             weight = alpha * front
-            totals = [Vector(lanes, builder.load(room)) for room in rooms]
-            for channel in range(3):
-                behind = load_channel(lanes, state, BEHIND[channel])
-                further = behind - color[channel]
+            places = [builder.add(builder.mul(number, as_int(3 * LANES)), as_int(k * LANES)) for k in range(3)]
+            totals = [lanes.load(out, place) for place in places]
+            in_front = []
+            for channel, behind in enumerate(colors):
+                further = behind - record[6 + channel]
                 change = weight * further
-                residual = load_channel(lanes, state, RESIDUAL[channel])
                 totals[0] = totals[0] + change.most(change * -1.0)
                 totals[1] = change.times_plus(change, totals[1])
-                totals[2] = change.times_plus(residual.times_plus(2.0, excess * change), totals[2])
-                store_channel(lanes, (held * -1.0).times_plus(further, behind), state, BEHIND[channel])
-            for room, total in zip(rooms, totals, strict=True):
-                builder.store(total.value, room)
-            store_channel(lanes, front, state, T)
+                totals[2] = change.times_plus(residuals[channel].times_plus(2.0, excess * change), totals[2])
+                in_front.append((share * -1.0).times_plus(further, behind))
+            for place, total in zip(places, totals, strict=True):
+                lanes.store(total, out, place)
+            return [front, *in_front]
 
-        visit_blocks(lanes, data, record, args[3], body)
-        results = lanes.sums([Vector(lanes, builder.load(room)) for room in rooms])
-        lanes.store_first(results, 4, out, builder.mul(args[6], ir.Constant(ir.IntType(64), 4)))
+        given = [load_channel(lanes, here, channel) for channel in (T, *BEHIND)]
+        held = pass_members(lanes, records, args[3], (x, y), given, body, backward=True)
+        for channel, vector in zip((T, *BEHIND), held, strict=True):
+            store_channel(lanes, vector, here, channel)
         return context.get_dummy_value()
 
     return signature, generate
 
 
 @uncounted
-def _dim_some(state, records, count, todo, lit, start):
-    """Let `count` prepared Gaussians take their light, front to back; the first has the place `start`."""
-    for j in range(count):
-        _dim(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
+def _dim_some(state, records, by_block, lit):
+    """Let prepared Gaussians take their light from the lit blocks that they reach."""
+    for block in range(BLOCKS):
+        if by_block[block] and (lit[0] >> block) & 1:
+            _dim(state, block, records, by_block[block], lit)
 
 
 @uncounted
-def _remove_some(state, records, count, todo, start, out, pair_of, first):
-    """Pass `count` prepared Gaussians, back to front; the list starts at `first`, and they at its place `start`."""
-    for j in range(count - 1, -1, -1):
-        _remove(state, records, j, todo[j], np.float32(start + j), out, np.int64(pair_of[first + start + j]))
+def _remove_some(state, records, by_block, sums):
+    """Pass prepared Gaussians in the blocks that they reach."""
+    for block in range(BLOCKS):
+        if by_block[block]:
+            _remove(state, block, records, by_block[block], sums)
 
 
 @uncounted
@@ -188,6 +194,8 @@ def remove_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, ba
     """
     height, width = residual.shape[:2]
     tiles = len(offsets) - 1
+    by_block = np.empty(BLOCKS, np.int64)
+    sums = allocate(np.int64((BATCH + 1) * 3 * LANES)).reshape((BATCH + 1, 3, LANES))
     tile = take_next(taken)
     while tile < tiles:
         place, (first, total), room = open_tile(tile, offsets, tiles_x, width, height)
@@ -199,7 +207,8 @@ def remove_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, ba
                 break
             reached = min(start + BATCH, total)
             prepare(splats, features, members, first, start, reached - start, left, top, gates, records, todo)
-            _dim_some(state, records, reached - start, todo, lit, start)
+            list_by_block(todo, reached - start, by_block)
+            _dim_some(state, records, by_block, lit)
         _turn(state, gates, residual, background, left, top, rows, columns)
         for k in range(first + reached, first + total):
             for e in range(4):
@@ -207,7 +216,10 @@ def remove_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, ba
         for start in range((reached - 1) // BATCH * BATCH, -1, -BATCH):
             count = min(BATCH, reached - start)
             prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
-            _remove_some(state, records, count, todo, start, out, pair_of, first)
+            list_by_block(todo, count, by_block)
+            _remove_some(state, records, by_block, sums)
+            for j in range(count):
+                take_sums(sums, j, out, np.int64(pair_of[first + start + j]))
         tile = take_next(taken)
 
 
