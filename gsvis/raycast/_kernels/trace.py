@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from gsvis._kernels.bits import lowest
 from gsvis._kernels.compiled import inner, kernel, njit, uncounted
+from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.shared import share, take_next
 from gsvis._kernels.threads import in_parts, on_numba_threads
 from gsvis.raycast._kernels.bvh import MOST_LEVELS, WIDTH
@@ -21,6 +23,9 @@ OPACITY = 11
 RANK = 12  # among Gaussians of equal mean
 
 STACK = 1 + (WIDTH - 1) * MOST_LEVELS  # a traversal leaves at most seven children waiting on each level
+WAITING = 32  # Gaussians that may wait, a power of two
+_WAIT = 8  # Gaussians that wait while their rows are loaded
+_LINE = 16  # float32 of a cache line
 _PRUNE_EVERY = 16
 TINY = 1e-300
 
@@ -125,18 +130,62 @@ def trace_ray(table, boxes, children, ray_o, ray_d, limits, ids, alphas, depths,
 
 
 @uncounted
-def _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near):
-    """Write the hits of one ray into the buffers; see `trace_ray`. Returns their number, or -1 if a buffer is full."""
+def _visit(scene, node, ray, t_stop, stack_node, stack_near, t_near, top, last):
+    """Push what a ray meets of a node, nodes on the stack and Gaussians on the queue behind it, and start to load it.
+
+    Args:
+        scene: Table, boxes and children.
+        node: The node.
+        ray: Its origin and its inverse direction.
+        t_stop: Where its light is spent.
+        stack_node: (STACK + WAITING,) int64, changed in place: waiting nodes, then a ring of waiting Gaussians.
+        stack_near: (STACK,) float64, changed in place: where the ray meets them.
+        t_near: (8,) float64, room.
+        top: Number of nodes that wait.
+        last: Number of the next Gaussian of the queue.
+
+    Returns:
+        The new `top` and `last`.
+    """
     table, boxes, children = scene
+    met = np.uint64(meets_eight(boxes, node, ray[0], ray[1], t_stop, t_near))
+    base = top
+    while met != 0:
+        k = lowest(met)
+        met &= met - np.uint64(1)
+        near = t_near[k]
+        child = children[node, k]
+        if child < 0:
+            prefetch(table, table.shape[1] * (-1 - child))
+            stack_node[STACK + (last & WAITING - 1)] = -1 - child
+            last += 1
+            continue
+        for line in range(0, 6 * WIDTH, _LINE):
+            prefetch(boxes, 6 * WIDTH * child + line)
+        prefetch(children, WIDTH * child)
+        j = top
+        while j > base and stack_near[j - 1] < near:  # keep the part of this node sorted, nearest on top
+            stack_near[j], stack_node[j] = stack_near[j - 1], stack_node[j - 1]
+            j -= 1
+        stack_near[j] = near
+        stack_node[j] = child
+        top += 1
+    return top, last
+
+
+@uncounted
+def _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near):
+    """Write the hits of one ray into the buffers; see `trace_ray`. Returns their number, or -1 if a buffer is full.
+
+    Gaussians wait until some nodes and Gaussians after them are met, because rows of the table are far in memory.
+    """
+    table = scene[0]
     min_alpha, max_alpha, min_transmittance = limits
-    ox = ray_o[0]
-    oy = ray_o[1]
-    oz = ray_o[2]
     dx = ray_d[0]
     dy = ray_d[1]
     dz = ray_d[2]
-    origin = (ox, oy, oz)
     inverse = (1.0 / (dx if dx != 0.0 else TINY), 1.0 / (dy if dy != 0.0 else TINY), 1.0 / (dz if dz != 0.0 else TINY))
+    ray = (ray_o[0], ray_o[1], ray_o[2]), inverse
     t_stop = np.inf
     left = 1.0  # transmittance behind all hits found so far
     count = np.int64(0)
@@ -144,29 +193,18 @@ def _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, sta
     stack_node[0] = 0
     stack_near[0] = 0.0
     top = 1
-    while top > 0:
-        top -= 1
-        if stack_near[top] > t_stop:
-            continue
-        node = stack_node[top]
-        met = meets_eight(boxes, node, origin, inverse, t_stop, t_near)
-        base = top
-        for k in range(WIDTH):
-            if not (met >> k) & 1:
-                continue
-            near = t_near[k]
-            child = children[node, k]
-            if child >= 0:  # keep the part pushed by this node sorted, nearest on top
-                j = top
-                while j > base and stack_near[j - 1] < near:
-                    stack_near[j], stack_node[j] = stack_near[j - 1], stack_node[j - 1]
-                    j -= 1
-                stack_near[j] = near
-                stack_node[j] = child
-                top += 1
-                continue
-            g = -1 - child
-            squared, depth = _peak(table, g, ox, oy, oz, dx, dy, dz)
+    first = 0
+    last = 0
+    while top > 0 or first < last:
+        if top > 0:
+            top -= 1
+            if stack_near[top] <= t_stop:
+                node = stack_node[top]
+                top, last = _visit(scene, node, ray, t_stop, stack_node, stack_near, t_near, top, last)
+        while last - first > (_WAIT if top > 0 else 0):
+            g = stack_node[STACK + (first & WAITING - 1)]
+            first += 1
+            squared, depth = _peak(table, g, ray_o[0], ray_o[1], ray_o[2], dx, dy, dz)
             if squared > table[g, REACH] or depth > t_stop:
                 continue
             alpha = table[g, OPACITY] * np.exp(-0.5 * squared)
@@ -251,7 +289,7 @@ def weight_of(table, boxes, children, ray_o, ray_d, target, limits, floor, stack
 def weights_of(begin, end, table, boxes, children, rays_o, rays_d, targets, limits, floor, out):
     """Write the weight of targets[r] on ray r into out (R,)."""
     for block in range(begin, end):
-        stack_node = np.empty(STACK, np.int64)
+        stack_node = np.empty(STACK + WAITING, np.int64)
         stack_near = np.empty(STACK, np.float64)
         t_near = np.empty(WIDTH, np.float64)
         for r in range(256 * block, min(len(rays_o), 256 * block + 256)):
@@ -293,7 +331,7 @@ def trace_rays(
         ids = np.empty(512, np.int64)
         alphas = np.empty(512, np.float64)
         depths = np.empty(512, np.float32)
-        stack_node = np.empty(STACK, np.int64)
+        stack_node = np.empty(STACK + WAITING, np.int64)
         stack_near = np.empty(STACK, np.float64)
         t_near = np.empty(WIDTH, np.float64)
         for r in range(64 * block, min(len(rays_o), 64 * block + 64)):
@@ -384,7 +422,7 @@ def _raise_row(row, table, boxes, children, rays_o, rays_d, limits, taken, out):
     ids = np.empty(512, np.int64)
     alphas = np.empty(512, np.float64)
     depths = np.empty(512, np.float32)
-    stack_node = np.empty(STACK, np.int64)
+    stack_node = np.empty(STACK + WAITING, np.int64)
     stack_near = np.empty(STACK, np.float64)
     t_near = np.empty(WIDTH, np.float64)
     first = 64 * take_next(taken)
