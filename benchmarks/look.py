@@ -107,6 +107,7 @@ def share_out(splats: Splats, eye: F64, threads: tuple[int, ...]) -> dict[int, f
             counts,
             wanted,
             best,
+            1,
             light,
             depths,
         )
@@ -156,7 +157,7 @@ def measure_parts(splats: Splats, eyes: F64) -> dict[str, float]:
         eye_and_spent = at, SIZE, np.float32(SPENT)
         lists_of = nearest, listed, lists, counts, every_square()
         everyone = np.zeros(count, np.uint64), np.float32(0.0)
-        buffers = best, light, depths
+        buffers = best, 1, light, depths
         part("splat", lambda: kernels.splat_squares(scene, everyone, *eye_and_spent, *lists_of, *buffers))  # noqa: B023
         part("collect", lambda: kernels.take_found(best))  # noqa: B023
     set_num_threads(2)

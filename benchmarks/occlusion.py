@@ -77,6 +77,7 @@ class Looks:
             counts,
             np.ones((6, side, side), bool),
             best,
+            1,
             light,
             depths,
         )

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from gsvis import _check
 from gsvis.hpr.gaussians import ON_HULL, OcclusionHull
-from gsvis.hpr.zbuffer import Search, Seen, Splats, look_around
+from gsvis.hpr.zbuffer import FOLDS, Search, Seen, Splats, look_around
 from gsvis.raycast import TAU
 from gsvis.scene.gaussians import Gaussians
 
@@ -77,7 +77,9 @@ def hybrid(
     search = search or Search()
     if search.known is not None:
         search = replace(search, least=spent)
-    seen = look_around(splats, viewpoint, size=pixels, spent=spent, buffer=margin is not None, search=search)
+    fold = max(f for f in FOLDS if f == 1 or pixels > f * (_HULL_SIZE - 1))
+    buffer = margin is not None
+    seen = look_around(splats, viewpoint, size=pixels, spent=spent, buffer=buffer, fold=fold, search=search)
     weights = seen.weights
     limit = np.float32(tau)
     peak = seen.light * g.opacities[seen.ids]

@@ -10,6 +10,7 @@ units.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,13 +25,15 @@ from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.lengths import length_factor
 
-__all__ = ["Search", "Seen", "Splats", "ZBuffer", "look_around", "squares_around"]
+__all__ = ["FOLDS", "Search", "Seen", "Splats", "ZBuffer", "look_around", "squares_around"]
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _MAX_SIZE = 4096
+FOLDS = (1, 2, 4, 8, 16, 32, 64)
+"""Pixels along a side of the blocks of which a z-buffer can keep the largest depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +80,13 @@ class Splats:
         clusters.bound_clusters(near, bounds, columns)
         return cls(ids, near, covars, bounds, columns, len(g), factor)
 
+    @cached_property
+    def rows(self) -> NDArray[np.int32]:
+        """(N,) row of each Gaussian; -1 for those that cannot be visible."""
+        rows = np.full(self.total, -1, np.int32)
+        rows[self.ids] = np.arange(len(self.ids), dtype=np.int32)
+        return rows
+
     @property
     def nbytes(self) -> int:
         """Bytes held."""
@@ -93,7 +103,7 @@ class ZBuffer:
         depths: (6, S, S) float32, distance from the eye; inf if light is left. Faces look along +x, -x, +y, -y, +z,
             -z; on each, columns run along the first and rows along the second of the other two axes.
         light: (6, S, S) float32, transmittance behind everything splatted; where light is spent, the first value below
-            `spent`.
+            `spent`. (6, 0, 0) where only the largest depths of blocks of pixels were kept.
     """
 
     viewpoint: NDArray[np.float64]
@@ -219,6 +229,7 @@ def look_around(
     size: int = 256,
     spent: float = MIN_ALPHA,
     buffer: bool = True,
+    fold: int = 1,
     search: Search | None = None,
 ) -> Seen:
     """Splat a scene around an eye, front to back, and keep the Gaussians that light reaches.
@@ -231,6 +242,8 @@ def look_around(
             front are dropped. To find all weights of tau, it must be at most tau.
         buffer: False keeps no depths: the z-buffer has faces of 0 x 0 pixels, and pixels that no Gaussian reaches cost
             nothing.
+        fold: Pixels along a side of the blocks of which the z-buffer keeps the largest depth, 1 to 64, a power of two.
+            Above 1 it keeps no light, and is that level of its `pyramid`.
         search: What is looked for, and where; None finds everything everywhere. Squares need `buffer` to be False.
 
     Raises:
@@ -241,6 +254,8 @@ def look_around(
         raise ValueError(f"size: expected 4 to {_MAX_SIZE} pixels, got {size}")
     if not 0.0 < spent < 1.0:
         raise ValueError(f"spent: expected a transmittance in (0, 1), got {spent!r}")
+    if fold not in FOLDS:
+        raise ValueError(f"fold: expected a power of two from 1 to {FOLDS[-1]}, got {fold!r}")
     search = search or Search()
     squares = search.squares_of(size)
     if buffer and not squares.all():
@@ -254,9 +269,9 @@ def look_around(
     counts = np.empty(6, np.int64)
     listed = np.empty_like(rectangles)
     clusters.list_clusters(np.argsort(nearest, kind="stable"), rectangles, lists, listed, counts)
-    side = size if buffer else 0
-    light = np.empty((6, side, side), np.float32)
-    depths = np.empty((6, side, side), np.float32)
+    side = -(-size // fold) if buffer else 0
+    light = np.empty((6, side, side) if fold == 1 else (6, 0, 0), np.float32)
+    depths = np.full((6, side, side), np.inf, np.float32)
     best = np.zeros(2 * splats.total, np.float32)
     kernels.splat_squares(
         (splats.near, splats.covars, splats.columns, splats.ids),
@@ -270,6 +285,7 @@ def look_around(
         counts,
         squares,
         best,
+        fold,
         light,
         depths,
     )
@@ -293,9 +309,8 @@ def squares_around(splats: Splats, viewpoint: ArrayLike, ids: ArrayLike, size: i
         around each Gaussian is taken.
     """
     eye = _check.floats("viewpoint", viewpoint, (3,), np.float64)
-    some = np.zeros(splats.total, bool)
-    some[_check.integers("ids", ids, ("K",))] = True
-    near = splats.near[some[splats.ids]]
+    rows = splats.rows[_check.integers("ids", ids, ("K",))]
+    near = splats.near[rows[rows >= 0]]
     reach = near[:, 3] * near[:, 4]
     bounds = np.concatenate([near[:, :3], near[:, :3], reach[:, None], near[:, 4:5]], axis=1)
     rectangles = np.empty((6, len(near), 4), np.int16)

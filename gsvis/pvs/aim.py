@@ -72,16 +72,18 @@ class Aim:
         return np.concatenate(found or [np.zeros((0, 3))])
 
 
-def share_of_centers(centers: ArrayLike, eye: F64, size: int) -> float:
+def share_of_centers(centers: ArrayLike, eye: F64, size: int, *, enough: float = 1.0) -> float:
     """Return the share of all directions in which centers (P, 3) lie from an eye (3,), with a pixel around each.
 
     Args:
         centers: (P, 3) points; points at the eye are ignored.
         eye: (3,) the eye.
         size: Pixels along a side of the faces of a cube.
+        enough: Share that is enough: once it is reached, the other centers are ignored.
     """
     marked = np.zeros((6, size, size), bool)
-    mark_centers(*_check.read_only(np.ascontiguousarray(centers, np.float32)), np.asarray(eye, np.float64), marked)
+    points = _check.read_only(np.ascontiguousarray(centers, np.float32))
+    mark_centers(*points, np.asarray(eye, np.float64), enough * marked.size, marked)
     return float(marked.mean())
 
 

@@ -205,7 +205,7 @@ class Finder:
         prepared = self._prepared[level]
         share = Aim.of_box(prepared.certifier.tracer, viewpoint, viewpoint, _AIM_SIZE, enough=_FILLED).share
         if len(prepared.core):
-            share = min(share, share_of_centers(prepared.core, viewpoint, _AIM_SIZE))
+            share = min(share, share_of_centers(prepared.core, viewpoint, _AIM_SIZE, enough=_FILLED))
         return 1.0 if share == 0.0 else float(np.clip(np.sqrt(_FILLED / share), 1.0, _FINEST))
 
     def _probe(self, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> int:
@@ -250,12 +250,15 @@ class Finder:
         if missing is None:
             return False
         top = len(self.levels) - 1
+        squares_of: dict[int, NDArray[np.bool_] | None] = {}
         for level in range(top + 1):
             prepared = self._prepared[level]
             if level < top and prepared.certifier.solid.buries(eye[None])[0]:
                 continue
             size = self._pixels(level, self._finer(level, eye))
-            squares = self._prepared[top].look.squares(eye, missing, size)
+            if size not in squares_of:
+                squares_of[size] = self._prepared[top].look.squares(eye, missing, size)
+            squares = squares_of[size]
             options = LookOptions(size=size, floor=self._fine_floor, hull=squares is None, squares=squares)
             ids, weights = prepared.look(eye, options)
             view.add(prepared.ids[ids], self._classes.of(weights), eye[None])

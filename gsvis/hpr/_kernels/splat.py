@@ -425,10 +425,30 @@ def _fill(
     return waiting, ready, spare, tally, placed
 
 
+@uncounted
+def _keep(square, extent, x, y, fold, light, depths):
+    """Write the light of a square that begins at (x, y), and the largest depths of blocks of its pixels, of a face."""
+    if light.shape[0] > 0:
+        for row in range(extent[1]):
+            for column in range(extent[0]):
+                light[y + row, x + column] = square[0, row, column]
+    for row in range(extent[1]):
+        if row % fold != 0:
+            for column in range(np.uint64(SQUARE)):
+                most = square[1, row - row % fold, column]
+                square[1, row - row % fold, column] = max(most, square[1, row, column])
+    for row in range(0, extent[1], fold):
+        for column in range(0, extent[0], fold):
+            most = square[1, row, column]
+            for k in range(column + 1, min(column + fold, extent[0])):
+                most = max(most, square[1, row, k])
+            depths[(y + row) // fold, (x + column) // fold] = most
+
+
 @in_threads(lambda scene, sought, eye, size, *_: 6 * ((size + SQUARE - 1) // SQUARE) ** 2)
 @kernel(error_model="numpy")
 def splat_squares(
-    taken, scene, sought, eye, size, spent, nearest, rectangles, lists, counts, wanted, best, light, depths
+    taken, scene, sought, eye, size, spent, nearest, rectangles, lists, counts, wanted, best, fold, light, depths
 ):
     """Splat front to back all that each face may see, in the squares that are wanted.
 
@@ -448,10 +468,11 @@ def splat_squares(
         wanted: (6, T, T) bool, squares to splat, by face, row and column; others keep their light.
         best: (2 N,) float32, zeros; receives for each Gaussian the largest share of a pixel's light that it takes and
             the largest light in front, over pixels that are not spent.
+        fold: Pixels along a side of a block of `depths`, a power of two up to 64.
         light: (6, S, S) float32, receives the light left behind everything, or the first value below `spent`; (6, 0, 0)
             keeps none.
-        depths: (6, S, S) float32, receives the distance at which light fell below `spent`, or inf; (6, 0, 0) keeps
-            none.
+        depths: (6, D, D) float32, D = ceil(S / fold), inf; receives the largest distance in each block of pixels at
+            which light fell below `spent`, or inf; (6, 0, 0) keeps none.
     """
     side = (size + SQUARE - 1) // SQUARE
     turn = take_next(taken)
@@ -503,10 +524,8 @@ def splat_squares(
             room,
             best,
         )
-        for row in range(extent[1] if light.shape[1] > 0 else 0):
-            for column in range(extent[0]):
-                light[face, y + row, x + column] = square[0, row, column]
-                depths[face, y + row, x + column] = square[1, row, column]
+        if depths.shape[1] > 0:
+            _keep(square, extent, x, y, fold, light[face], depths[face])
         turn = take_next(taken)
 
 

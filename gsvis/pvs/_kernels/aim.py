@@ -63,11 +63,17 @@ def _mark(marked, face, place):
 
 
 @kernel(error_model="numpy")
-def mark_centers(centers, eye, marked):
-    """Mark the pixels (6, S, S) in whose directions centers (P, 3) lie from an eye (3,), and the pixels around each."""
+def mark_centers(centers, eye, enough, marked):
+    """Mark the pixels (6, S, S) in whose directions centers (P, 3) lie from an eye (3,), and the pixels around each.
+
+    Once `enough` pixels are marked, no more are.
+    """
     size = marked.shape[1]
     way = np.empty(3)
+    count = 0
     for i in range(len(centers)):
+        if count >= enough:
+            break
         w = 0
         for axis in range(3):
             way[axis] = np.float64(centers[i, axis]) - eye[axis]
@@ -81,6 +87,7 @@ def mark_centers(centers, eye, marked):
         line = min(int((way[1 if w == 2 else 2] / depth + 1.0) * 0.5 * size), size - 1)
         for y in range(max(line - 1, 0), min(line + 2, size)):
             for x in range(max(column - 1, 0), min(column + 2, size)):
+                count += not marked[face, y, x]
                 marked[face, y, x] = True
 
 
