@@ -99,22 +99,47 @@ class EllipsoidProxies:
         )
 
     def near(self, rays_o: NDArray[np.float64], rays_d: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which proxies (M,) a ray may meet: those whose bounding ball a ray comes near.
+        """Return which proxies (M,) a ray may meet: those whose circumscribed ellipsoid a ray comes near.
 
         Args:
             rays_o: (R, 3) origins, world frame.
             rays_d: (R, 3) unit directions.
         """
         found = np.empty(len(self), bool)
-        corner = float(np.linalg.norm(self.template[0], axis=1).max())
-        away = float(np.abs(rays_o).max(initial=0.0))
+        away = float(np.linalg.norm(rays_o, axis=1).max(initial=0.0))
         for start in range(0, len(self), _CHUNK):
-            part = slice(start, start + _CHUNK)
-            means = self.gaussians.means[self.ids[part]].astype(np.float64)
-            finest = _finest(means)
-            reaches = corner * np.maximum(self.radii[part].max(axis=1), finest) + finest + _ROUNDING * away
-            mark_near(means, reaches, rays_o, rays_d, _ROUNDING, found[part])
+            some = np.arange(start, min(start + _CHUNK, len(self)))
+            mark_near(*self._balls(some, away), np.empty((0, 3, 3)), rays_o, rays_d, _ROUNDING, found[some[0] :])
+            some = some[found[some]]
+            met = np.empty(len(some), bool)
+            mark_near(*self._balls(some, away), self._whitening(some, away), rays_o, rays_d, _ROUNDING, met)
+            found[some] = met
         return found
+
+    def _balls(self, some: NDArray[np.int64], away: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return centers (K, 3) and radii (K,) of balls around some proxies, for rays from points up to `away`."""
+        corner = float(np.linalg.norm(self.template[0], axis=1).max())
+        means = self.gaussians.means[self.ids[some]].astype(np.float64)
+        finest = _finest(means)
+        return means, corner * np.maximum(self.radii[some].max(axis=1), finest) + finest + _ROUNDING * away
+
+    def _whitening(self, some: NDArray[np.int64], away: float) -> NDArray[np.float64]:
+        """Return (K, 3, 3) what maps the ellipsoids around some proxies to the unit ball.
+
+        They also hold all points within rounding error of a proxy: an ellipsoid with squared semi-axes
+        1.01 a^2 + 101 e^2 holds all within e of one with semi-axes a.
+        """
+        corner = float(np.linalg.norm(self.template[0], axis=1).max())
+        part = self.gaussians[self.ids[some]]
+        means = part.means.astype(np.float64)
+        errors = _finest(means) + _ROUNDING * (2.0 * away + np.linalg.norm(means, axis=1))
+        squared = 1.01 * (corner * self._half_widths(some, means)) ** 2 + 101.0 * errors[:, None] ** 2
+        return np.ascontiguousarray(np.swapaxes(part.rotations(), 1, 2) / np.sqrt(squared)[:, :, None])
+
+    def _half_widths(self, some: NDArray[np.int64] | slice, means: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the half-widths (K, 3) of some proxies, none too thin for float32, from their centers (K, 3)."""
+        radii = self.radii[some]
+        return np.asarray(np.maximum(radii, np.maximum(_THINNEST * radii.max(axis=1), _finest(means))[:, None]))
 
     @cached_property
     def template(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -143,11 +168,10 @@ class EllipsoidProxies:
         _check.positive_int("proxies", m, at_least=0)
         vertices = np.empty((m, v, 3), np.float32)
         for first in range(0, m, _CHUNK):
-            part = self.gaussians[self.ids[chosen.start + first : chosen.start + min(first + _CHUNK, m)]]
-            radii = self.radii[chosen.start + first : chosen.start + first + len(part)]
+            some = slice(chosen.start + first, chosen.start + min(first + _CHUNK, m))
+            part = self.gaussians[self.ids[some]]
             means = part.means.astype(np.float64)
-            radii = np.maximum(radii, np.maximum(_THINNEST * radii.max(axis=1), _finest(means))[:, None])
-            axes = part.rotations() * radii[:, None, :]
+            axes = part.rotations() * self._half_widths(some, means)[:, None, :]
             vertices[first : first + len(part)] = np.einsum("mij,vj->mvi", axes, unit) + means[:, None, :]
         faces = unit_faces[None].astype(np.uint32) + (v * np.arange(m, dtype=np.uint32))[:, None, None]
         return vertices.reshape(-1, 3), faces.reshape(-1, 3)

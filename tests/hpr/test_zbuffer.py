@@ -116,6 +116,20 @@ def test_the_pyramid_bounds_what_lies_under_it() -> None:
         np.testing.assert_array_equal(most[k][:, 0, 0], under.max(axis=1))
 
 
+@pytest.mark.parametrize(("size", "fold"), [(24, 2), (70, 8), (129, 64)])
+def test_blocks_of_depths_are_a_level_of_the_pyramid(size: int, fold: int) -> None:
+    splats = Splats.from_gaussians(around(500, 4, opaque=True))
+    whole, folded = (look_around(splats, np.zeros(3), size=size, fold=each) for each in (1, fold))
+    level = whole.zbuffer.pyramid()[fold.bit_length() - 1]
+    np.testing.assert_array_equal(folded.zbuffer.depths, level)
+    np.testing.assert_array_equal(folded.weights, whole.weights)
+
+
+def test_blocks_of_depths_have_sides_of_powers_of_two() -> None:
+    with pytest.raises(ValueError, match=r"^fold: expected a power of two from 1 to 64, got 3"):
+        look_around(Splats.from_gaussians(around(5, 0)), np.zeros(3), size=16, fold=3)
+
+
 @pytest.mark.parametrize("look", ["zbuffer", "hybrid"])
 def test_the_order_of_the_scene_changes_nothing(look: str) -> None:
     g = Gaussians.concatenate([around(400, 5), around(400, 5)[np.arange(50)]])  # with equal distances

@@ -125,3 +125,11 @@ def test_centers_on_one_side_fill_little_and_all_around_everything() -> None:
     assert share_of_centers(ball, np.zeros(3), 16) > 0.99
     assert share_of_centers(ball, np.array([-30.0, 0.0, 0.0]), 16) <= 16 / (6 * 16 * 16)
     assert share_of_centers(np.zeros((3, 3)), np.zeros(3), 16) == 0.0
+
+
+@given(st.integers(0, 1000), st.sampled_from([0.02, 0.1, 0.25]))
+def test_the_share_of_centers_ends_with_enough_and_not_before(seed: int, enough: float) -> None:
+    centers = np.random.default_rng(seed).normal(size=(60, 3))
+    whole = share_of_centers(centers, np.zeros(3), 16)
+    some = share_of_centers(centers, np.zeros(3), 16, enough=enough)
+    assert some == whole if whole < enough else enough <= some <= whole

@@ -93,7 +93,7 @@ def test_what_lies_near_rays_is_what_brute_force_finds_and_holds_all_that_they_m
     rng = np.random.default_rng(0)
     centers, reaches_of = g.means.astype(np.float64), g.scales.max(axis=1) * rng.random(len(g))
     marked = np.empty(len(g), bool)
-    mark_near(centers, reaches_of, rays_o, rays_d, 1e-6, marked)
+    mark_near(centers, reaches_of, np.empty((0, 3, 3)), rays_o, rays_d, 1e-6, marked)
     assert 0 < marked.sum() < len(g)
     np.testing.assert_array_equal(marked, brute_force_near(centers, reaches_of, rays_o, rays_d, 1e-6))
     proxies = EllipsoidProxies.from_scene(g)
@@ -101,3 +101,12 @@ def test_what_lies_near_rays_is_what_brute_force_finds_and_holds_all_that_they_m
     near = proxies.near(rays_o, rays_d)
     assert np.isin(met, proxies.ids[near]).all()
     np.testing.assert_array_equal(proxies[np.flatnonzero(near)].ids, proxies.ids[near])
+
+
+@pytest.mark.parametrize(("beside", "is_near"), [(0.0, True), (0.05, True), (0.5, False)])
+def test_a_ray_along_a_needle_is_near_it_only_where_it_meets_it(beside: float, is_near: bool) -> None:
+    needle = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1.0, 0.02, 0.02]], [0.9], np.zeros((1, 1, 3)))
+    proxies = EllipsoidProxies.from_scene(needle)
+    origin = np.array([[-9.0, beside, 0.0]])
+    assert proxies.near(origin, np.array([[1.0, 0.0, 0.0]])).tolist() == [is_near]
+    assert not proxies.near(origin, np.array([[-1.0, 0.0, 0.0]])).any()  # behind the eye

@@ -1,4 +1,4 @@
-"""Find the balls that rays may meet. World frame, scene units. Knows only balls and half-lines."""
+"""Find the balls and ellipsoids that rays may meet. World frame, scene units. Knows only these and half-lines."""
 
 from __future__ import annotations
 
@@ -23,6 +23,31 @@ def _is_near(center, reach, rays_o, rays_d, r, slack):
 
 
 @inner(error_model="numpy")
+def _is_met(center, whitening, rays_o, rays_d, r):
+    """Return whether a ray meets an ellipsoid around (3,), which `whitening` (3, 3) maps to the unit ball."""
+    start = np.empty(3)
+    way = np.empty(3)
+    along = 0.0
+    squared = 0.0
+    length = 0.0
+    for i in range(3):
+        start[i] = 0.0
+        way[i] = 0.0
+        for j in range(3):
+            start[i] += whitening[i, j] * (rays_o[r, j] - center[j])
+            way[i] += whitening[i, j] * rays_d[r, j]
+        along += start[i] * way[i]
+        squared += start[i] * start[i]
+        length += way[i] * way[i]
+    if along >= 0.0:
+        return squared <= 1.0
+    x = start[1] * way[2] - start[2] * way[1]
+    y = start[2] * way[0] - start[0] * way[2]
+    z = start[0] * way[1] - start[1] * way[0]
+    return x * x + y * y + z * z <= length
+
+
+@inner(error_model="numpy")
 def _bound(centers, reaches, first, end, middle):
     """Write the middle of some balls and return the radius of a ball around it that holds them."""
     for i in range(3):
@@ -43,11 +68,12 @@ def _bound(centers, reaches, first, end, middle):
 
 @in_parts(lambda centers, *_: (len(centers) + _BLOCK - 1) // _BLOCK)
 @kernel(error_model="numpy")
-def mark_near(begin, end, centers, reaches, rays_o, rays_d, rounding, out):
+def mark_near(begin, end, centers, reaches, shapes, rays_o, rays_d, rounding, out):
     """Mark each ball (N,) whose distance from some ray (R, 3), unit directions, is at most its reach.
 
     `rounding` times the distance to the origin is added to the reach, for rays that another program rounds. Rays that
-    are far from a ball around 64 balls in a row are tested no further.
+    are far from a ball around 64 balls in a row are tested no further. With `shapes` (N, 3, 3), which map ellipsoids
+    in these balls to the unit ball, the ray must meet the ellipsoid too; (0, 3, 3) for balls alone.
     """
     middle = np.empty(3)
     near = np.empty(len(rays_o), np.int64)
@@ -71,6 +97,8 @@ def mark_near(begin, end, centers, reaches, rays_o, rays_d, rounding, out):
                 away = 0.0
                 for i in range(3):
                     away += (centers[g, i] - rays_o[r, i]) ** 2
-                if _is_near(centers[g], reaches[g] + rounding * away**0.5, rays_o, rays_d, r, 0.0):
+                if not _is_near(centers[g], reaches[g] + rounding * away**0.5, rays_o, rays_d, r, 0.0):
+                    continue
+                if len(shapes) == 0 or _is_met(centers[g], shapes[g], rays_o, rays_d, r):
                     out[g] = True
                     break
