@@ -82,8 +82,9 @@ def hybrid(
     seen = look_around(splats, viewpoint, size=pixels, spent=spent, buffer=buffer, fold=fold, search=search)
     weights = seen.weights
     limit = np.float32(tau)
-    peak = seen.light * g.opacities[seen.ids]
-    doubtful = np.flatnonzero((weights < limit) & (weights >= np.float32(_DOUBT) * limit) & (peak >= limit))
+    doubtful = np.flatnonzero((weights < limit) & (weights >= np.float32(_DOUBT) * limit))
+    peak = seen.light[doubtful] * g.opacities[seen.ids[doubtful]]
+    doubtful = doubtful[peak >= limit]
     if len(doubtful) and margin is not None:
         levels = seen.zbuffer.pyramid()
         level = max(k for k in range(len(levels)) if k == 0 or levels[k].shape[1] >= _HULL_SIZE)

@@ -268,7 +268,7 @@ def look_around(
     lists = np.empty((6, len(nearest)), np.int64)
     counts = np.empty(6, np.int64)
     listed = np.empty_like(rectangles)
-    clusters.list_clusters(np.argsort(nearest, kind="stable"), rectangles, lists, listed, counts)
+    clusters.list_clusters(stable_order(nearest), rectangles, lists, listed, counts)
     side = -(-size // fold) if buffer else 0
     light = np.empty((6, side, side) if fold == 1 else (6, 0, 0), np.float32)
     depths = np.full((6, side, side), np.inf, np.float32)
