@@ -12,7 +12,7 @@ from gsvis._kernels.shared import take_next
 from gsvis._kernels.threads import in_parts, in_threads
 from gsvis.render._kernels.forward import gather, list_by_block, take_sums, take_weight
 from gsvis.render._kernels.lanes import BATCH, BLOCKS, LANES
-from gsvis.render._kernels.tiles import allocate, find_lane, open_tile, prepare_shapes, weigh_some
+from gsvis.render._kernels.tiles import allocate, call_up, find_lane, open_tile, prepare_shapes, weigh_some
 
 __all__ = ["gather_tiles", "mark_blended", "sum_shares"]
 
@@ -96,6 +96,7 @@ def gather_tiles(taken, splats, offsets, members, pair_of, tiles_x, v_image, out
             count = min(BATCH, total - done)
             prepare_shapes(splats, members, first, done, count, left, top, gates, records, todo)
             list_by_block(todo, count, by_block)
+            call_up(out, pair_of, first + done, count)
             _gather_some(state, records, by_block, lit, sums)
             for j in range(count):
                 take_sums(sums, j, out, np.int64(pair_of[first + done + j]))

@@ -15,7 +15,7 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
-from gsvis._kernels.compiled import kernel, uncounted
+from gsvis._kernels.compiled import inner, kernel, uncounted
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.simd import Builder, Vector
 from gsvis._kernels.threads import in_threads
@@ -25,6 +25,7 @@ from gsvis.render._kernels.lanes import (
     BLOCKS,
     LANES,
     PLACE,
+    RECORD,
     STOP,
     Record,
     T,
@@ -34,7 +35,7 @@ from gsvis.render._kernels.lanes import (
     load_channel,
     store_channel,
 )
-from gsvis.render._kernels.tiles import allocate, find_lane, open_tile, prepare
+from gsvis.render._kernels.tiles import allocate, call_up, find_lane, open_tile, prepare
 
 __all__ = ["add_pairs", "remove_tiles", "sum_squares"]
 
@@ -156,9 +157,11 @@ def _remove(typing_context, state, block, records, members, sums):
 
 @uncounted
 def _dim_some(state, records, by_block, lit):
-    """Let prepared Gaussians take their light from the lit blocks that they reach."""
+    """Let prepared Gaussians take their light from the blocks that they reach; those without light lose them."""
     for block in range(BLOCKS):
-        if by_block[block] and (lit[0] >> block) & 1:
+        if (lit[0] >> block) & 1 == 0:
+            by_block[block] = 0
+        elif by_block[block]:
             _dim(state, block, records, by_block[block], lit)
 
 
@@ -171,9 +174,8 @@ def _remove_some(state, records, by_block, sums):
 
 
 @uncounted
-def _turn(state, gates, residual, background, left, top, rows, columns):
+def _turn(state, residual, background, left, top, rows, columns):
     """Prepare the state at the back of a tile for the pass to the front."""
-    gates[:] = -1.0
     for r in range(rows):
         for k in range(columns):
             block, lane = find_lane(r, k)
@@ -181,7 +183,14 @@ def _turn(state, gates, residual, background, left, top, rows, columns):
             for c in range(3):
                 state[block, BEHIND[c], lane] = background[c]
                 state[block, RESIDUAL[c], lane] = residual[top + r, left + k, c]
-            gates[block] = max(gates[block], state[block, 6, lane])
+
+
+@inner
+def _make_room(batches):
+    """Return room for records (batches, BATCH + 1, RECORD), of which the last of a batch reaches nothing, and lists."""
+    records = allocate(np.int64(batches * (BATCH + 1) * RECORD)).reshape((batches, BATCH + 1, RECORD))
+    records[:, BATCH, 0] = -1e9
+    return records, np.empty((batches, BLOCKS), np.int64)
 
 
 @in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
@@ -194,32 +203,35 @@ def remove_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, ba
     """
     height, width = residual.shape[:2]
     tiles = len(offsets) - 1
-    by_block = np.empty(BLOCKS, np.int64)
+    kept, by_block = _make_room(32)
     sums = allocate(np.int64((BATCH + 1) * 3 * LANES)).reshape((BATCH + 1, 3, LANES))
     tile = take_next(taken)
     while tile < tiles:
         place, (first, total), room = open_tile(tile, offsets, tiles_x, width, height)
         left, top, rows, columns = place
-        state, gates, records, todo, lit = room
-        reached = 0
-        for start in range(0, total, BATCH):
-            if lit[0] == 0:
-                break
-            reached = min(start + BATCH, total)
-            prepare(splats, features, members, first, start, reached - start, left, top, gates, records, todo)
-            list_by_block(todo, reached - start, by_block)
-            _dim_some(state, records, by_block, lit)
-        _turn(state, gates, residual, background, left, top, rows, columns)
-        for k in range(first + reached, first + total):
+        state, gates, _, todo, lit = room
+        batches = (total + BATCH - 1) // BATCH
+        if batches > len(kept):
+            kept, by_block = _make_room(2 * batches)
+        done = 0
+        while done < batches and lit[0] != 0:
+            start = done * BATCH
+            count = min(BATCH, total - start)
+            prepare(splats, features, members, first, start, count, left, top, gates, kept[done], todo)
+            list_by_block(todo, count, by_block[done])
+            _dim_some(state, kept[done], by_block[done], lit)
+            done += 1
+        _turn(state, residual, background, left, top, rows, columns)
+        for k in range(first + min(done * BATCH, total), first + total):
             for e in range(4):
                 out[pair_of[k], e] = 0.0
-        for start in range((reached - 1) // BATCH * BATCH, -1, -BATCH):
-            count = min(BATCH, reached - start)
-            prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
-            list_by_block(todo, count, by_block)
-            _remove_some(state, records, by_block, sums)
+        for batch in range(done - 1, -1, -1):
+            start = first + batch * BATCH
+            count = min(BATCH, first + total - start)
+            call_up(out, pair_of, start, count)
+            _remove_some(state, kept[batch], by_block[batch], sums)
             for j in range(count):
-                take_sums(sums, j, out, np.int64(pair_of[first + start + j]))
+                take_sums(sums, j, out, np.int64(pair_of[start + j]))
         tile = take_next(taken)
 
 

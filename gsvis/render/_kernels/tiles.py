@@ -124,6 +124,14 @@ def prepare_shapes(splats, members, first, place, count, left, top, gates, recor
 
 
 @uncounted
+def call_up(out, pair_of, start, count):
+    """Let the rows of `count` pairs come into the cache, before they are written: neighbors in a list lie far apart."""
+    columns = out.shape[1]
+    for k in range(start, start + count):
+        prefetch(out, columns * np.int64(pair_of[k]))
+
+
+@uncounted
 def _blend_some(state, records, by_block, lit):
     """Blend prepared Gaussians into the lit blocks that they reach."""
     for block in range(BLOCKS):
@@ -236,6 +244,7 @@ def blend_tiles_backward(
         for stop in range(reached, 0, -BATCH):
             start = max(stop - BATCH, 0)
             prepare(splats, features, members, first, start, stop - start, left, top, gates, records, todo)
+            call_up(out, pair_of, first + start, stop - start)
             for j in range(stop - start - 1, -1, -1):
                 at = np.float32(start + j)
                 if members[first + start + j] < still:
@@ -306,6 +315,7 @@ def weigh_tiles(taken, splats, offsets, members, pair_of, tiles_x, width, height
             count = min(BATCH, total - start)
             prepare_shapes(splats, members, first, start, count, left, top, gates, records, todo)
             list_by_block(todo, count, by_block)
+            call_up(out, pair_of, first + start, count)
             weigh_some(state, records, by_block, lit, sums)
             for j in range(count):
                 largest, total_weight = take_weight(sums, j)
