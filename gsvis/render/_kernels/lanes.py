@@ -13,7 +13,6 @@ a loop over blocks, so what follows it must not depend on long computations.
 
 from __future__ import annotations
 
-from functools import reduce
 from typing import Any
 
 from llvmlite import ir
@@ -26,6 +25,8 @@ __all__ = [
     "BATCH",
     "BLOCKS",
     "BLUE",
+    "CENTER_X",
+    "CENTER_Y",
     "CHANNELS",
     "DEPTH",
     "GREEN",
@@ -56,6 +57,8 @@ TILE = SIDE * SIDE  # pixels of a tile along each side
 BATCH = 64  # Gaussians prepared at a time
 CHANNELS = 8
 RECORD = 16
+CENTER_X, CENTER_Y = 10, 11
+"""Entries of a record: where the center is, from the tile's first pixel."""
 PLACE = 12
 """Entry of a record: the place behind the Gaussian in the tile's list."""
 T, RED, GREEN, BLUE, DEPTH, MEDIAN, STOP = range(7)
@@ -67,6 +70,7 @@ STOP is the place, in the tile's list, behind the last Gaussian that found the p
 LOG2_255 = 7.994353436858858
 """A pixel sees a Gaussian where log2 alpha is at least the negative of this."""
 
+_MARGIN = 1e-4  # log2 alpha; a surplus block costs little, a missing pixel shows
 _F32 = ir.FloatType()
 _I64 = ir.IntType(64)
 
@@ -100,7 +104,8 @@ class Record:
 def find_reached_blocks(typing_context, records, number, gates, place):
     """Return the blocks of a tile where alpha of the Gaussian reaches 1/255 and whose gate lies behind `place`.
 
-    A block is reached if one of its rows of pixels is, between the centers of its first and its last pixel.
+    A block is reached if the square between the centers of its outer pixels is. Alpha is largest there on the edge that
+    faces the center of the Gaussian, along x or along y, or at the center.
 
     Args:
         typing_context: numba's, unused.
@@ -120,20 +125,25 @@ def find_reached_blocks(typing_context, records, number, gates, place):
         lanes = Builder(builder, LANES, "float32")
         record = Record(context, lanes, sig.args[0], args[0], args[1])
         gates = context.make_array(sig.args[2])(context, builder, args[2]).data
-        # A < 0: the dilation keeps every conic positive
-        steep = lanes.splat(builder.fdiv(ir.Constant(_F32, -0.5), record.scalar(3)))
-        left = lanes.constants([columns[0] for columns in _COLUMNS])
-        right = lanes.constants([columns[-1] for columns in _COLUMNS])
-        rows_most = []
-        for row in range(SIDE):
-            y = lanes.constants([rows[0] + row for rows in _ROWS])
-            slope = y.times_plus(record[4], record[1])
-            level = y.times_plus(record[5], record[2]).times_plus(y, record[0])
-            peak = (slope * steep).most(left).least(right)
-            rows_most.append(record[3].times_plus(peak, slope).times_plus(peak, level))
-        most = reduce(Vector.most, rows_most)
+        left, right, top, bottom = (
+            lanes.constants([numbers[lane] for numbers in rows[:BLOCKS]])
+            for rows, lane in ((_COLUMNS, 0), (_COLUMNS, -1), (_ROWS, 0), (_ROWS, -1))
+        )
+        # A, C < 0: the dilation keeps every conic positive
+        turn_x, turn_y = (lanes.splat(builder.fdiv(ir.Constant(_F32, -0.5), record.scalar(k))) for k in (3, 5))
+        x = record[CENTER_X].most(left).least(right)
+        slope = x.times_plus(record[4], record[2])
+        y = (slope * turn_y).most(top).least(bottom)
+        along = x.times_plus(record[3], record[1]).times_plus(x, record[0])
+        at_x = record[5].times_plus(y, slope).times_plus(y, along)
+        y = record[CENTER_Y].most(top).least(bottom)
+        slope = y.times_plus(record[4], record[1])
+        x = (slope * turn_x).most(left).least(right)
+        along = y.times_plus(record[5], record[2]).times_plus(y, record[0])
+        at_y = record[3].times_plus(x, slope).times_plus(x, along)
+        most = at_x.most(at_y)
         is_open = lanes.load(gates, as_int(0)).compare(">", lanes.splat(args[3]))
-        return (most.compare(">=", -LOG2_255) & is_open).bits()
+        return (most.compare(">=", -LOG2_255 - _MARGIN) & is_open).bits()
 
     return signature, generate
 
