@@ -57,7 +57,8 @@ TILE = SIDE * SIDE  # pixels of a tile along each side
 BATCH = 64  # Gaussians prepared at a time
 CHANNELS = 8
 RECORD = 16
-CENTER_X, CENTER_Y = 10, 11
+CENTER_X = 10
+CENTER_Y = 11
 """Entries of a record: where the center is, from the tile's first pixel."""
 PLACE = 12
 """Entry of a record: the place behind the Gaussian in the tile's list."""
