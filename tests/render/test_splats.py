@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -168,3 +172,35 @@ def test_long_and_short_runs_sort_alike() -> None:
     _kernels_order.order_ties(keys, ids, *_check.read_only(*content), order)
     columns = np.concatenate(content, axis=1).T
     assert (order == np.lexsort([ids, *reversed(columns), depths])).all()
+
+
+PROJECTED = """
+import hashlib
+import numpy as np
+from gsvis.render.splats import View, project_splats
+from gsvis.scene.gaussians import Gaussians
+
+rng = np.random.default_rng(0)
+sizes = 0.3 * rng.random((3000, 3)) ** 4 + 1e-3
+g = Gaussians(rng.normal(size=(3000, 3)), rng.normal(size=(3000, 4)), sizes, rng.random(3000), np.zeros((3000, 1, 3)))
+pose = np.eye(4)
+pose[2, 3] = 4.0
+found = project_splats(g, View(pose, (50.0, 51.0, 32.0, 24.0), 64, 48), antialiased=True)
+assert len(found[0]) > 1000
+print(hashlib.sha256(b"".join(each.tobytes() for each in found)).hexdigest())
+"""
+
+
+def test_kernels_from_the_cache_project_as_those_just_compiled(tmp_path: Path) -> None:
+    """A function that others call may be fused with them in one case and not in the other."""
+    place = tmp_path / "kernels"
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(place), "PYTHONPATH": str(Path(__file__).parents[2])}
+    command = [sys.executable, "-c", PROJECTED]
+
+    def project_anew() -> tuple[str, dict[Path, int]]:
+        bits = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+        return bits, {path: path.stat().st_mtime_ns for path in place.rglob("*.nbi")}
+
+    compiled, kept = project_anew()
+    assert kept
+    assert project_anew() == (compiled, kept)  # nothing was compiled again
