@@ -6,6 +6,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+HASTE = """{
+    const draw = window.requestAnimationFrame.bind(window), now = performance.now.bind(performance);
+    window.requestAnimationFrame = (frame) => draw((time) => frame(4 * time));
+    performance.now = () => 4 * now();
+}"""
+"""Lets the time of a page pass four times as fast: a view comes to rest after a quarter of the frames."""
+
 
 def eye(page: Any) -> list[float]:
     """Position of the camera that the viewer got last."""

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.serve.servers import PATIENCE
-from tests.viewer.gestures import drag, eye, hold, mode, motion, motion_of_tour, rest
+from tests.viewer.gestures import HASTE, drag, eye, hold, mode, motion, motion_of_tour, rest
 from tests.viewer.page_server import AXE, HOSTILE, OUTSIDE, VIEWER
 
 pytestmark = pytest.mark.slow
@@ -34,6 +34,7 @@ def visit(browser: Any, address: str) -> Iterator[Open]:
         width, height = SIZES[size]
         context = browser.new_context(viewport={"width": width, "height": height}, **options)
         contexts.append(context)
+        context.add_init_script(HASTE)
         page = context.new_page()
         page.set_default_timeout(WAIT)
         page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
