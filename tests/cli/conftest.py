@@ -39,6 +39,17 @@ def few_judges(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module", autouse=True)
+def few_voxels() -> Iterator[None]:
+    """Look for surfaces on coarse grids: what finer ones show is tested in tests/edit.
+
+    A module that needs a finer one has a fixture of this name.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gsvis.edit.shape._VOXELS", 1 << 17)
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
 def known_spaces(shared_folder: Path) -> Iterator[None]:
     """Find the navigable space of a scene once for all workers, among few voxels.
 

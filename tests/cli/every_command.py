@@ -76,7 +76,7 @@ _SUFFIXES = {"ply": ".ply", "pvs": ".pvs", "package": ".gsvis", "walk": ".csv"}
 
 @contextmanager
 def at_their_smallest(folder: Path) -> Iterator[None]:
-    """Look at grids of so small a scene coarsely and at packages once; put a stand-in for the viewer into sites.
+    """Find spaces among few voxels and look at packages once; put a stand-in for the viewer into sites.
 
     Args:
         folder: Where the stand-in is written.
@@ -86,7 +86,6 @@ def at_their_smallest(folder: Path) -> Iterator[None]:
         patch = stack.enter_context(pytest.MonkeyPatch.context())
         stack.enter_context(take_few_views())
         stack.enter_context(coarse_spaces())
-        patch.setattr("gsvis.edit.shape._VOXELS", 1 << 17)
         patch.setattr("gsvis.cli.analyze.PICTURE", 24)
         for write in (write_site, write_html):
             patch.setitem(write.__kwdefaults__, "viewer", viewer)

@@ -121,7 +121,8 @@ def test_visible_sets_of_another_scene_are_refused(ply: Path, pvs: Path, tmp_pat
 
 
 def test_no_terms_and_no_view_dependence(ply: Path, tmp_path: Path, capsys: Capture) -> None:
-    found = document(capsys, ply, "-o", tmp_path / "a.arrow", *QUICK[:8], "--max-terms", "0", "--precision", "exact")
+    words = [ply, "-o", tmp_path / "a.arrow", *QUICK[:8], "--max-terms", "0", "--color-steps", "0"]
+    found = document(capsys, *words, "--precision", "exact")
     assert found["terms"]["total"] == 0
     assert found["quality"]["all_terms"] == found["quality"]["base_only"]
     save_scene(two_rooms(1000, sh_degree=0).gaussians, tmp_path / "plain.ply")
@@ -140,13 +141,13 @@ def few_renders(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_colors_learn_from_renders(ply: Path, tmp_path: Path, capsys: Capture, few_renders: None) -> None:
-    words = [ply, "-o", tmp_path / "a.arrow", *LEARN, "--color-steps", "20"]
+    words = [ply, "-o", tmp_path / "a.arrow", *LEARN, "--color-steps", "5"]
     found = document(capsys, *words)
     learned = found["learned"]
     assert (learned["from"], learned["views"], learned["held_out"]) == ("renders", 7, 2)
     assert set(learned["psnr"]) == {"fitted", "learned"}
     assert learned["psnr"]["learned"]["mean"] != learned["psnr"]["fitted"]["mean"]
-    assert srbf_info(tmp_path / "a.arrow").provenance["learned"]["config"]["steps"] == 20
+    assert srbf_info(tmp_path / "a.arrow").provenance["learned"]["config"]["steps"] == 5
     assert document(capsys, *words[:2], tmp_path / "b.arrow", *words[3:])["learned"] == learned
     assert (tmp_path / "a.arrow").read_bytes() == (tmp_path / "b.arrow").read_bytes()
     assert document(capsys, ply, "-o", tmp_path / "c.arrow", *QUICK)["learned"] is None

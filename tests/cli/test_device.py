@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 from typing import get_args
@@ -21,6 +20,7 @@ from gsvis.io import load_scene, save_scene
 from gsvis.render import rasterizer_torch
 from gsvis.render.device import Device
 from gsvis.scene.procedural import two_rooms
+from tests import warm_start
 from tests.render.pretended_gpu import pretend_gpu
 from tests.train.photo_files import cloud, write_photos
 
@@ -97,7 +97,7 @@ for words in {words!r}:
     assert main(words) == 0, words
     assert "torch" not in sys.modules, words
 """
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False)
+    ran = warm_start.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert ran.returncode == 0, ran.stderr
 
 

@@ -49,7 +49,7 @@ def test_json_on_stdout_is_one_document_and_nothing_else(tmp_path: Path) -> None
 
 def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
     save_scene(wall_with_hole().gaussians[:40], tmp_path / "wall.ply")
-    process = subprocess.Popen(
+    process = warm_start.Popen(
         [*GSVIS, "inspect", tmp_path / "wall.ply", "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert process.stdout is not None

@@ -71,13 +71,12 @@ def known_spaces() -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def quick(tmp_path_factory: pytest.TempPathFactory) -> object:
-    """Packages of few views, small pictures, few voxels, a stand-in for the built viewer."""
+    """Packages of few views, small pictures, a stand-in for the built viewer."""
     viewer = viewer_of(tmp_path_factory.mktemp("viewer") / "built")
     made = replace(two_rooms(1000, sh_degree=1), navigable=NavigableSpace.from_box((1, 1, 1), (7, 3, 2), 12))
     with pytest.MonkeyPatch.context() as patch, take_few_views(), coarse_spaces():
         patch.setitem(BUILTIN_SCENES, "wall_with_hole", lambda: made)
         patch.setattr("gsvis.cli.analyze.PICTURE", 24)
-        patch.setattr("gsvis.edit.shape._VOXELS", 1 << 17)
         patch.setitem(write_site.__kwdefaults__, "viewer", viewer)
         yield
 
