@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.jobs.in_order import in_order
 from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -84,10 +85,15 @@ def find_judges(g: Gaussians, views: ViewSampling, witnesses: Witnesses | None =
     """
     _, few = thin(g, _MOST, seed=views.seed)
 
+    def draw(camera: Cameras) -> tuple[F32, F32]:
+        """Return alpha and depth of one camera."""
+        drawn = rasterize(few, camera, backend="cpu")
+        return drawn.alphas[0], drawn.depths[0]
+
     def look(cameras: Cameras) -> tuple[F32, F32]:
         """Return alphas and depths of cameras."""
-        drawn = rasterize(few, cameras, backend="cpu")
-        return drawn.alphas, drawn.depths
+        alphas, depths = zip(*in_order(draw, (cameras[k : k + 1] for k in range(len(cameras)))), strict=True)
+        return np.stack(alphas), np.stack(depths)
 
     shape = views.width, views.height, views.fov
     theirs = None if witnesses is None else witnesses.views(views.count // 2, *shape)

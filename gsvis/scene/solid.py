@@ -21,6 +21,7 @@ BURIED = 0.5
 
 _IN_A_BIN = 4  # points, on average
 _MOST_BINS = 32  # along an axis
+_FEW = 8192  # points that are tested against runs
 _IN_A_RUN = 64  # Gaussians with one box around them
 
 
@@ -72,14 +73,15 @@ class Solid:
     def buries(self, points: F64) -> NDArray[np.bool_]:
         """Return which points (P, 3) lie inside a Gaussian with an alpha of at least a half there.
 
-        Points are sorted into bins, so that each Gaussian is tested only against those in and around its box.
+        Points are sorted into bins, so that each Gaussian is tested only against those in and around its box. Few
+        points are tested against runs of Gaussians first.
         """
         found = np.zeros(len(points), bool)
         if len(points) == 0:
             return found
         low = points.min(axis=0)
         high = points.max(axis=0)
-        near = self.near(low, high)
+        near = self.near(low, high) if len(points) > _FEW else self
         if len(near.ids) == 0:
             return found
         side = max(1, min(_MOST_BINS, int(np.cbrt(len(points) / _IN_A_BIN))))
@@ -89,8 +91,12 @@ class Solid:
         order = np.argsort(numbers, kind="stable")
         binned = np.ascontiguousarray(points[order])
         bins = low, per_unit, np.concatenate([[0], np.cumsum(np.bincount(numbers, minlength=side**3))])
-        holding = np.empty(len(near.ids), bool)
-        kernels.find_holding(near.low, near.high, binned, bins, side, holding)
+        holding = np.zeros(len(near.ids), bool)
+        if len(points) > _FEW:
+            kernels.find_holding(near.low, near.high, binned, bins, side, holding)
+        else:
+            runs = near.runs_low, near.runs_high, _IN_A_RUN
+            kernels.find_holding_in_runs(near.low, near.high, binned, *runs, holding)
         some = self.gaussians[near.ids[holding]]
         whitening = np.swapaxes(some.rotations(), 1, 2) / some.scales.astype(np.float64)[:, :, None]
         shapes = some.means, np.ascontiguousarray(whitening), some.opacities

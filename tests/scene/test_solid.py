@@ -26,8 +26,10 @@ def largest_alpha(g: Gaussians, point: np.ndarray) -> float:
     return best
 
 
+@pytest.mark.parametrize("few", [0, 8192], ids=["bins", "runs"])
 @pytest.mark.parametrize("seed", range(3))
-def test_points_together_are_tested_as_each_alone(seed: int) -> None:
+def test_points_together_are_tested_as_each_alone(seed: int, few: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gsvis.scene.solid._FEW", few)
     g = clutter(seed)
     points = np.random.default_rng([1, seed]).normal(scale=1.5, size=(700, 3))
     points[5:200] = points[4]  # equal points cannot be halved by a plane

@@ -72,6 +72,20 @@ def find_holding(begin, end, low, high, points, bins, side, out):
         out[i] = found
 
 
+@in_parts(lambda low, high, points, runs_low, *_: len(runs_low))
+@kernel
+def find_holding_in_runs(begin, end, low, high, points, runs_low, runs_high, length, out):
+    """Do what `find_holding` does for few points (P, 3): only in runs of boxes (B, 3) that hold one. `out` is False."""
+    for run in range(begin, end):
+        first = run * length
+        last = min(first + length, len(low))
+        for p in range(len(points)):
+            if not _holds(runs_low, runs_high, run, points, p):
+                continue
+            for i in range(first, last):
+                out[i] |= _holds(low, high, i, points, p)
+
+
 @kernel
 def find_buried(shapes, low, high, points, bins, side, least, out):
     """Write into out (P,) which points have an alpha of `least` or more in a Gaussian whose box holds them.
