@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis._sorting import stable_order
+from gsvis.files.mapped import release_mapped
 from gsvis.package._kernels import records as kernels
 from gsvis.package.codec import chunk_starts
 from gsvis.package.lattice import MOST_RUNS, Lattices, find_lattices
@@ -136,6 +137,7 @@ def _sort_ties(g: Gaussians, codes: U64, keys: I64, order: I64) -> I64:
     some = order[tied]
     arrays = (g.means, g.scales, g.quats, g.opacities[:, None], g.sh0, g.shN)
     content = np.concatenate([array[some].reshape(len(some), -1) for array in arrays], axis=1)
+    release_mapped([g.shN])  # few Gaussians, but they lie in nearly all pages
     order = order.copy()
     order[tied] = some[np.lexsort((*content.T[::-1], codes[some], keys[some]))]
     return order

@@ -18,6 +18,7 @@ from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import open_regular
 from gsvis.package.blocks import write_blocks
+from gsvis.package.contents import Contents
 from gsvis.package.manifest import MANIFEST, Blob, Manifest, PackageInfo
 from gsvis.package.package import PARTS, Package, columns_of
 from gsvis.package.parts import MOST_BYTES, Part, PartFolder
@@ -36,7 +37,7 @@ _ROWS = 1 << 14  # rows of the table of chunks in a part
 def write_package(
     folder: str | PathLike[str],
     levels: Levels,
-    colors: QuantizedColors,
+    colors: QuantizedColors | Contents,
     *,
     info: PackageInfo | None = None,
     visibility: str | PathLike[str] | None = None,
@@ -50,24 +51,24 @@ def write_package(
         folder: Folder of the package, by custom `scene.gsvis`. An older package is replaced when the new one is
             complete.
         levels: Levels in the order of a package, from `in_package_order`.
-        colors: Rounded colors of their union.
+        colors: Rounded colors of their union; or the records of these levels and colors, if they are known.
         info: Up axis, meters per unit, measured cost, provenance; None means `PackageInfo()`.
         visibility: The store of visible sets of `levels.union`; None for no visible sets.
         active_terms: Lists of the active terms of these sets' cells; None computes them on request.
-        limits: How to round the records; None keeps all bits.
+        limits: How to round the records; None keeps all bits. Not for records, which are written as they are.
         progress: Called with stage "package", in blocks of the scene.
 
     Returns:
         The open package.
 
     Raises:
-        ValueError: If lengths do not match, or the order is not that of a package.
+        ValueError: If lengths do not match, the order is not that of a package, or there are records and limits.
         FormatError: If a store was built for a different scene, or the folder has other files.
         OSError: If the folder cannot be written.
     """
     target = _check.path("folder", folder)
     check_target(target)
-    contents = rounded_contents(levels, colors, limits)
+    contents = _records_of(levels, colors, limits)
     scene = scene_hash(levels.union)
     if visibility is not None:
         VisibilityStore.open(visibility, scene=levels.union).close()
@@ -86,7 +87,7 @@ def write_package(
         scene,
         levels.names,
         levels.counts,
-        colors.grids,
+        contents.grids,
         tuple(tables),
         blocks,
         sets,
@@ -97,6 +98,18 @@ def write_package(
         partial.write_bytes(manifest.to_json())
     parts.remove_all_but(manifest.parts())
     return Package.open(target)
+
+
+def _records_of(levels: Levels, colors: QuantizedColors | Contents, limits: Limits | None) -> Contents:
+    """Return the records of levels; those that are given need to be as many, and are not rounded again."""
+    if not isinstance(colors, Contents):
+        return rounded_contents(levels, colors, limits)
+    if limits is not None:
+        raise ValueError("limits: expected None for records, got limits; round the records first")
+    if len(colors) != len(levels.union) or colors.names != levels.names:
+        expected = f"records of {len(levels.union):,} Gaussians in the levels {levels.names}"
+        raise ValueError(f"colors: expected {expected}, got {len(colors):,} in {colors.names}")
+    return colors
 
 
 def check_target(target: Path) -> None:

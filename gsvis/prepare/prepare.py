@@ -14,8 +14,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gsvis import _check
 from gsvis._extras import has, missing
+from gsvis.color.sh import seen_sh_colors
 from gsvis.errors import FormatError, SceneError
 from gsvis.jobs.work_folder import WorkFolder
 from gsvis.jobs.workers import Workers
@@ -30,7 +34,7 @@ from gsvis.prepare.stage_quality import run_cost, run_fidelity, run_judges, run_
 from gsvis.prepare.stage_records import run_epsilon, run_rounding, run_terms
 from gsvis.prepare.stage_sets import around_of, run_sets, ship_sets
 from gsvis.prepare.stages import StageRecord, Stages
-from gsvis.prepare.start_views import describe_start_views, shows_object
+from gsvis.prepare.start_views import describe_start_views
 from gsvis.progress import Progress, silent
 from gsvis.pvs.joined import JoinedCells
 from gsvis.pvs.store import VisibilityStore
@@ -182,8 +186,8 @@ def finish_package(
         found |= _known(learned_colors=colors.learned, overdraw=overdraw, staircase=epsilon.staircase)
         provenance = {**(about or {}), "config": config.as_dict(), **found}
         info = PackageInfo(_axis(stages.space), config.meters_per_unit, cost, provenance, fidelity, epsilon.value)
-        parts: dict[str, Any] = {"visibility": shipped, "active_terms": listed, "limits": limits}
-        with write_package(target, levels, packed, info=info, **parts, progress=stages.progress) as package:
+        parts: dict[str, Any] = {"visibility": shipped, "active_terms": listed}
+        with write_package(target, levels, contents, info=info, **parts, progress=stages.progress) as package:
             manifest = package.manifest
         sizes = {part.name: part.nbytes for part in manifest.parts()}
         kept = {name: size for name, size in sizes.items() if name in before}
@@ -209,12 +213,16 @@ def finish_package(
 
 
 def _find_start_views(stages: Stages, levels: Levels) -> list[dict[str, Any]]:
-    """Return the start views of the highest level; harmonics are copied for objects alone, whose pictures decide."""
+    """Return the start views of the highest level, of which no harmonics are copied: pictures of objects need few."""
     last = len(levels) - 1
+    ids = np.flatnonzero(levels.member(last))
+
+    def colors_of(some: NDArray[np.int64], eye: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Return the colors of some Gaussians of the level."""
+        return seen_sh_colors(levels.union, ids[some], eye)
+
     highest = levels.bare_level(last)
-    if shows_object(highest, stages.space):
-        highest = levels.level(last)
-    found = describe_start_views(highest, stages.space, seed=stages.config.level_views.seed)
+    found = describe_start_views(highest, stages.space, seed=stages.config.level_views.seed, colors_of=colors_of)
     stages.rest()
     return found
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gsvis.errors import SceneError
 from gsvis.jobs.in_order import in_order
 from gsvis.render import view_weights
-from gsvis.render.weights import draw_and_weigh
+from gsvis.render.weights import ColorsOf, draw_and_weigh
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.core import Core, find_core
 from gsvis.scene.gaussians import Gaussians
@@ -65,11 +65,17 @@ def choose_start_views(
         drawn: Number of cameras to choose from.
         seed: Seed of the random numbers.
     """
-    return _choose(scene, space, _Subject.of(scene, space), count, drawn, seed)
+    return _choose(scene, space, _Subject.of(scene, space), count, drawn, seed, None)
 
 
 def _choose(
-    scene: Gaussians, space: NavigableSpace, subject: _Subject, count: int, drawn: int, seed: int
+    scene: Gaussians,
+    space: NavigableSpace,
+    subject: _Subject,
+    count: int,
+    drawn: int,
+    seed: int,
+    colors_of: ColorsOf | None,
 ) -> Cameras | None:
     """Return what `choose_start_views` returns, for a known subject."""
     favored = 0
@@ -81,7 +87,7 @@ def _choose(
         except SceneError:
             return None
         cameras, favored = _within(subject, space, cameras)
-    worth = _worth(scene, space, subject, cameras)
+    worth = _worth(scene, space, subject, cameras, colors_of)
     if favored:
         worth[np.argmax(worth[:favored])] = np.inf  # one view of the detail comes first
     eyes = cameras.viewpoints
@@ -113,7 +119,13 @@ def _pivot_distances(subject: _Subject, space: NavigableSpace, cameras: Cameras)
 
 
 def describe_start_views(
-    scene: Gaussians, space: NavigableSpace, count: int = START_VIEWS, *, drawn: int = 48, seed: int = 0
+    scene: Gaussians,
+    space: NavigableSpace,
+    count: int = START_VIEWS,
+    *,
+    drawn: int = 48,
+    seed: int = 0,
+    colors_of: ColorsOf | None = None,
 ) -> list[dict[str, Any]]:
     """Return the start views of a scene as poses, each with its `reach`, the distance of the pivot; may be empty.
 
@@ -123,9 +135,10 @@ def describe_start_views(
         count: Largest number of views.
         drawn: Number of cameras to choose from.
         seed: Seed of the random numbers.
+        colors_of: Colors of the Gaussians in pictures of an object; None means their SH colors.
     """
     subject = _Subject.of(scene, space)
-    cameras = _choose(scene, space, subject, count, drawn, seed)
+    cameras = _choose(scene, space, subject, count, drawn, seed, colors_of)
     if cameras is None:
         return []
     reaches = _pivot_distances(subject, space, cameras).tolist()
@@ -244,7 +257,9 @@ def _looking(eyes: F64, targets: F64, space: NavigableSpace) -> Cameras:
     return Cameras.look_at(eyes, aims, up=space.up, width=_SAMPLING.width, height=_SAMPLING.height, fov=_SAMPLING.fov)
 
 
-def _worth(scene: Gaussians, space: NavigableSpace, subject: _Subject, cameras: Cameras) -> F64:
+def _worth(
+    scene: Gaussians, space: NavigableSpace, subject: _Subject, cameras: Cameras, colors_of: ColorsOf | None
+) -> F64:
     """Return (C,) how much each view shows, less for what is in the way: Gaussians, and of an object contrasts.
 
     The front of an object has no more Gaussians than its back, but more to look at.
@@ -255,7 +270,7 @@ def _worth(scene: Gaussians, space: NavigableSpace, subject: _Subject, cameras: 
     def worth(c: int) -> float:
         """Return how much one view shows."""
         if subject.is_object:
-            image, summed = draw_and_weigh(scene, cameras[c])
+            image, summed = draw_and_weigh(scene, cameras[c], colors_of)
             brightness = image.mean(axis=2)
             shown = sum(float(np.abs(np.diff(brightness, axis=axis)).sum()) for axis in (0, 1))
         else:

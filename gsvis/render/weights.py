@@ -5,6 +5,7 @@ The weights are those of the rasterizer (EWA); `gsvis.raycast` computes weights 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -20,9 +21,20 @@ from gsvis.render.splats import Projected, View, blend, color_splats, project
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["PixelContributors", "ViewWeights", "contributors", "draw_and_weigh", "share_out", "view_weights"]
+__all__ = [
+    "ColorsOf",
+    "PixelContributors",
+    "ViewWeights",
+    "contributors",
+    "draw_and_weigh",
+    "share_out",
+    "view_weights",
+]
 
 F32 = NDArray[np.float32]
+
+ColorsOf = Callable[[NDArray[np.int64], NDArray[np.float64]], F32]
+"""Function from Gaussians (M,) and an eye (3,) to the RGB (M, 3) that the eye sees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +93,7 @@ def view_weights(
     return ViewWeights(largest, summed)
 
 
-def draw_and_weigh(g: Gaussians, camera: Cameras) -> tuple[F32, F32]:
+def draw_and_weigh(g: Gaussians, camera: Cameras, colors_of: ColorsOf | None = None) -> tuple[F32, F32]:
     """Return the image of a camera before black, and the summed weights in it, from one projection.
 
     Both are those of `rasterize` and `view_weights`, to the byte.
@@ -89,12 +101,19 @@ def draw_and_weigh(g: Gaussians, camera: Cameras) -> tuple[F32, F32]:
     Args:
         g: N Gaussians.
         camera: One camera.
+        colors_of: Colors of the Gaussians; None means their SH colors.
 
     Returns:
         (H, W, 3) RGB, and (N,) float32 sums of the weights over the pixels.
     """
     view, projected = _project(g, camera, None)
-    image = blend(projected, view, color_splats(g, projected, view, g.sh_degree, None), np.zeros(3, np.float32))[0]
+    if colors_of is None:
+        features = color_splats(g, projected, view, g.sh_degree, None)
+    else:
+        features = np.empty((len(projected.ids), 4), np.float32)
+        features[:, :3] = colors_of(projected.ids.astype(np.int64), view.eye)
+        features[:, 3] = projected.depths
+    image = blend(projected, view, features, np.zeros(3, np.float32))[0]
     largest = np.zeros(len(g), np.float32)
     summed = np.zeros(len(g), np.float32)
     pairs = _weigh_pairs(view, projected)

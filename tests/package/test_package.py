@@ -31,6 +31,7 @@ from gsvis.package import manifest as manifests
 from gsvis.package import order as orders
 from gsvis.package import package as packages
 from gsvis.package import parts as folders
+from gsvis.package.rounding import Quality, limits_of, rounded_contents
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
@@ -159,6 +160,21 @@ def test_an_order_that_is_known_gives_the_same_records() -> None:
     np.testing.assert_array_equal(known.table.starts, found.table.starts)
     with pytest.raises(ValueError, match="expected the order of a package"):
         Contents.from_levels(ordered, colors, order)
+
+
+@pytest.mark.usefixtures("many_parts")
+def test_records_that_are_known_make_the_same_package(tmp_path: Path) -> None:
+    levels = levels_of(400)
+    colors = colors_of(400)[1]
+    limits = limits_of(Contents.from_levels(levels, colors), Quality())
+    records = rounded_contents(levels, colors, limits)
+    write_package(tmp_path / "colors", levels, colors, limits=limits).close()
+    write_package(tmp_path / "records", levels, records).close()
+    assert files(tmp_path / "records") == files(tmp_path / "colors")
+    with pytest.raises(ValueError, match="limits: expected None for records"):
+        write_package(tmp_path / "both", levels, records, limits=limits)
+    with pytest.raises(ValueError, match="colors: expected records of 300 Gaussians"):
+        write_package(tmp_path / "other", levels_of(300), records)
 
 
 @pytest.mark.usefixtures("many_parts")

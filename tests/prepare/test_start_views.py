@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gsvis.color.sh import seen_sh_colors
 from gsvis.package import PackageInfo
 from gsvis.prepare.start_views import START_VIEWS, choose_start_views, describe_start_views
 from gsvis.render import view_weights
@@ -58,6 +59,24 @@ def test_an_object_is_whole_in_views_from_several_sides_that_aim_at_its_middle()
     assert np.abs(middles - [0.0, 0.0, 1.0]).max() < 0.05
     level = views.viewpoints[:, :2] / np.linalg.norm(views.viewpoints[:, :2], axis=1, keepdims=True)
     assert (level @ level.T)[~np.eye(len(views), dtype=bool)].max() < np.cos(np.radians(25.0))
+
+
+def test_an_object_whose_colors_are_given_has_the_views_of_one_that_has_them() -> None:
+    rng = np.random.default_rng(1)
+    means = rng.uniform(-0.5, 0.5, (300, 3))
+    quats = np.tile([1.0, 0.0, 0.0, 0.0], (300, 1))
+    shN = rng.normal(0.0, 0.5, (300, 3, 3))
+    g = Gaussians(means, quats, np.full((300, 3), 0.05), np.full(300, 0.9), rng.random((300, 1, 3)), shN)
+    found = NavigableSpace.around(g, up="+z")
+    space = replace(found, kind=replace(found.kind, kind="object"))
+    asked = []
+
+    def colors_of(ids: np.ndarray, eye: np.ndarray) -> np.ndarray:
+        asked.append(len(ids))
+        return seen_sh_colors(g, ids, eye)
+
+    assert describe_start_views(g.without_harmonics(), space, colors_of=colors_of) == describe_start_views(g, space)
+    assert asked
 
 
 def test_views_in_rooms_stand_off_the_walls_and_know_how_far_they_look() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from gsvis.color.sh import seen_sh_colors
 from gsvis.render import GaussianTensors, contributors, rasterize, view_weights
 from gsvis.render.reference_torch import rasterize_reference
 from gsvis.render.weights import draw_and_weigh
@@ -40,6 +41,16 @@ def test_one_projection_draws_and_weighs_as_two(kind: str, antialiased: bool) ->
         image, summed = draw_and_weigh(g, camera)
         np.testing.assert_array_equal(image, rasterize(g, camera).images[0])
         np.testing.assert_array_equal(summed, view_weights(g, camera).summed[0])
+
+
+def test_colors_of_one_view_draw_what_the_colors_of_the_scene_do() -> None:
+    g = scene("mixed")
+    camera = views()[0]
+    image, summed = draw_and_weigh(g.without_harmonics(), camera, lambda ids, eye: seen_sh_colors(g, ids, eye))
+    np.testing.assert_array_equal(image, draw_and_weigh(g, camera)[0])
+    np.testing.assert_array_equal(summed, draw_and_weigh(g, camera)[1])
+    assert g.sh_degree > 0
+    assert not np.array_equal(image, draw_and_weigh(g.without_harmonics(), camera)[0])
 
 
 def test_summed_weights_make_up_alpha() -> None:
