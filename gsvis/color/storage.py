@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -24,11 +25,12 @@ from gsvis.errors import FormatError
 from gsvis.files.arrow import ArrowFile, write_arrow
 from gsvis.files.fields import Fields
 from gsvis.files.limits import Budget
+from gsvis.jobs.freed_memory import release_freed_memory
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
 
-__all__ = ["SrbfInfo", "grids_of", "load_srbf", "save_srbf", "srbf_info"]
+__all__ = ["SrbfInfo", "grids_of", "load_srbf", "load_srbf_colors", "save_srbf", "srbf_info"]
 
 FORMAT = "gsvis-srbf"
 VERSION = 1
@@ -124,25 +126,49 @@ def load_srbf(path: str | os.PathLike[str]) -> tuple[Gaussians, SrbfColors]:
             values.
         OSError: If it cannot be opened.
     """
+    colors, columns = _read(path)
+    with _explained(path):
+        rgb = evaluate_along(colors.first(0), [[0.0, 0.0, 1.0]])[:, 0]
+        sh0 = ((rgb.astype(np.float64) - 0.5) / SH_C0)[:, None]
+        scene = Gaussians(columns["means"], columns["quats"], columns["scales"], columns["opacities"][:, 0], sh0)
+    return scene, colors
+
+
+def load_srbf_colors(path: str | os.PathLike[str]) -> SrbfColors:
+    """Read the colors of a file of `save_srbf`, dequantized if it has integers; geometry is not looked at.
+
+    Raises:
+        FormatError: As `load_srbf` does, but for values of the geometry.
+        OSError: If it cannot be opened.
+    """
+    return _read(path)[0]
+
+
+def _read(path: str | os.PathLike[str]) -> tuple[SrbfColors, dict[str, NDArray[Any]]]:
+    """Return the colors of a file, and its columns."""
     file = ArrowFile(path, FORMAT, VERSION)
     info = _info(file)
     kind = VARIANTS[info.variant]
     file.check_schema(pa.schema(_schema(kind, info.grids)))
     columns, counts = _read_columns(file)
+    release_freed_memory()
     for what, claimed, found in (("gaussians", info.gaussians, len(counts)), ("terms", info.terms, int(counts.sum()))):
         if claimed != found:
             raise FormatError(path, what, f"{claimed:,} as the header says", f"{found:,}", "the file is damaged")
     offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
+    with _explained(path):
+        return _colors(kind, info.grids, columns, offsets), columns
+
+
+@contextmanager
+def _explained(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Raise `FormatError` for values that do not fit."""
     try:
-        colors = _colors(kind, info.grids, columns, offsets)
-        rgb = evaluate_along(colors.first(0), [[0.0, 0.0, 1.0]])[:, 0]
-        sh0 = ((rgb.astype(np.float64) - 0.5) / SH_C0)[:, None]
-        scene = Gaussians(columns["means"], columns["quats"], columns["scales"], columns["opacities"][:, 0], sh0)
+        yield
     except ValueError as error:
         where, _, rest = str(error).partition(": expected ")
         expected, _, got = rest.partition(", got ")
         raise FormatError(path, where, expected or "valid values", got or "values that do not fit") from error
-    return scene, colors
 
 
 def srbf_info(path: str | os.PathLike[str]) -> SrbfInfo:
@@ -236,7 +262,7 @@ def _read_columns(file: ArrowFile) -> tuple[dict[str, NDArray[Any]], NDArray[np.
             pieces.setdefault(name, []).append(_numbers(column))
     if not pieces:
         return _empty_columns(file.schema), counts[0]
-    return {name: np.concatenate(arrays) for name, arrays in pieces.items()}, np.concatenate(counts)
+    return {name: np.concatenate(pieces.pop(name)) for name in list(pieces)}, np.concatenate(counts)
 
 
 def _numbers(column: pa.Array) -> NDArray[Any]:

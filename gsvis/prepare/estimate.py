@@ -14,7 +14,7 @@ import numpy as np
 
 from gsvis.color.records import bytes_per_term
 from gsvis.color.srbf import SrbfColors
-from gsvis.color.storage import load_srbf
+from gsvis.color.storage import load_srbf_colors
 from gsvis.jobs.cost import machine_load
 from gsvis.jobs.workers import Workers
 from gsvis.prepare.calibration import OBSERVED
@@ -254,7 +254,7 @@ class _Estimator:
             name = name_colors(stages, self.levels, store)
             if stages.work.whole(name):
                 path = stages.work.at(name)
-                exact = load_srbf(path)[1]
+                exact = load_srbf_colors(path)
                 what = f"{len(exact):,} colors, variant {exact.variant}, {exact.num_terms:,} terms"
                 self.found.append(StageEstimate("colors", "done", what, 0.0, path.stat().st_size))
                 return exact

@@ -10,7 +10,7 @@ from gsvis._extras import has
 from gsvis.color.epsilon import DEFAULT_EPSILON
 from gsvis.color.records import QuantizedColors, quantize
 from gsvis.color.srbf import SrbfColors
-from gsvis.color.storage import load_srbf, save_srbf
+from gsvis.color.storage import load_srbf_colors, save_srbf
 from gsvis.jobs.work_folder import digest_of_folder
 from gsvis.package import Contents
 from gsvis.package.active_terms import colors_hash
@@ -84,7 +84,7 @@ def run_rounding(
             figures = {name: getattr(found, name) for name in ("limits", "finer", "psnr", "worst")}
             stages.keep(name, {**figures, "learned": found.colors is not None})
         made = stages.read(name).value
-        rounded = load_srbf(stages.work.at(learned))[1]
+        rounded = load_srbf_colors(stages.work.at(learned))
     stages.remarks += [] if made["limits"] else [f"records keep all bits: rounded ones have less than {wanted:g} dB"]
     limits = Limits(*made["limits"]) if made["limits"] else None
     return limits, quantize(rounded, grids=packed.grids, refit=False)

@@ -33,6 +33,23 @@ def test_freed_blocks_between_used_ones_go_back_to_the_system() -> None:
     assert all((block == 16 * k % 251).all() for k, block in enumerate(kept))
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc, which Linux has")
+def test_freed_blocks_of_arrow_go_back_to_the_system() -> None:
+    pa = pytest.importorskip("pyarrow")
+    blocks = [pa.allocate_buffer(16 * BLOCK) for _ in range(BLOCKS // 16)]
+    for block in blocks:
+        np.frombuffer(block, np.uint8).fill(1)
+    del block, blocks
+    release_freed_memory()
+    blocks = [pa.allocate_buffer(16 * BLOCK) for _ in range(BLOCKS // 16)]
+    for block in blocks:
+        np.frombuffer(block, np.uint8).fill(1)
+    full = resident()
+    del block, blocks
+    release_freed_memory()
+    assert full - resident() > BLOCK * BLOCKS // 2
+
+
 def test_without_that_allocator_nothing_happens(monkeypatch: pytest.MonkeyPatch) -> None:
     for problem in (AttributeError, OSError, TypeError):
 
