@@ -18,6 +18,7 @@ from gsvis.color._kernels import srbf as _kernels_srbf
 from gsvis.color._kinds import is_tensor
 from gsvis.color.srbf import SrbfColors
 from gsvis.files.mapped import release_mapped
+from gsvis.files.scratch import Scratch
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -37,6 +38,7 @@ class Evaluator:
         colors: N Gaussians with T terms.
         keep: Whether the colors are kept beside what is laid out. Otherwise the memory of those that lie in mapped
             files is given back.
+        scratch: Makes the arrays of what is laid out, whose memory its owner may give back; None keeps them in memory.
 
     Attributes:
         source: The colors; None if they are not kept.
@@ -45,16 +47,19 @@ class Evaluator:
         ValueError: If `colors` is not a `SrbfColors`.
     """
 
-    def __init__(self, colors: SrbfColors, *, keep: bool = True) -> None:
+    def __init__(self, colors: SrbfColors, *, keep: bool = True, scratch: Scratch | None = None) -> None:
         if not isinstance(colors, SrbfColors):
             raise ValueError(f"colors: expected SrbfColors, got {type(colors).__name__}")
         self.source = colors if keep else None
         self._space = _kernels_rgb.SPACES[colors.kind.space]
         order, starts = _layout(colors.counts)
-        slots = np.zeros((int(starts[-1]) * _kernels_srbf.SLOT, _kernels_srbf.LANES), np.float32)
+        place = scratch or Scratch()
+        slots = place.zeros((int(starts[-1]) * _kernels_srbf.SLOT, _kernels_srbf.LANES))
         terms = _check.read_only(colors.centers, colors.decays, np.ascontiguousarray(colors.amplitudes()))
         _kernels_srbf.pack(order, colors.offsets, starts, terms, slots)
         base = _in_windows(colors.base, order)
+        if scratch is not None:
+            base = scratch.copy(base)
         scales = _in_windows(colors.scales[:, None], order)
         self._packed = order, colors.offsets, starts, slots, base, np.ascontiguousarray(scales[:, 0])
         if not keep:

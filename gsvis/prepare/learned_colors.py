@@ -19,6 +19,7 @@ from gsvis.color.blend import blend_colors
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.sh import seen_sh_colors
 from gsvis.color.srbf import SrbfColors
+from gsvis.files.scratch import Scratch
 from gsvis.jobs.freed_memory import release_freed_memory
 from gsvis.jobs.in_order import in_order
 from gsvis.progress import Progress, silent
@@ -244,7 +245,7 @@ def learn_lesson(
     drawn: dict[str, SrbfColors | None] = {} if lesson.named == "renders" else {"sh": None}
     drawn |= {"fitted": colors, "learned": learned}
     release_freed_memory()
-    measure = ColorMeasure(g, whole, lesson.held_out)
+    measure = ColorMeasure(g, whole, lesson.held_out, folder)
     about.psnr.update(
         zip(drawn, measure.psnr_of(*drawn.values(), to_records=to_records, progress=progress), strict=True)
     )
@@ -259,11 +260,11 @@ def learn_lesson(
     return colors, replace(about, share=0.0)
 
 
-def _lay_out(colors: SrbfColors, to_records: Callable[[SrbfColors], SrbfColors] | None) -> Evaluator:
+def _lay_out(colors: SrbfColors, to_records: Callable[[SrbfColors], SrbfColors] | None, scratch: Scratch) -> Evaluator:
     """Return what draws colors, rounded if they are to be; rounded ones are not kept."""
     if to_records is None:
-        return Evaluator(colors)
-    return Evaluator(to_records(colors), keep=False)
+        return Evaluator(colors, scratch=scratch)
+    return Evaluator(to_records(colors), keep=False, scratch=scratch)
 
 
 class ColorMeasure:
@@ -273,10 +274,15 @@ class ColorMeasure:
         g: N Gaussians with their SH colors.
         shown: (N,) bool, those that are drawn.
         views: Images with their cameras; or cameras alone, for which the SH colors make the images.
+        folder: Folder for temporary files of the colors, so that memory holds those of one view; None keeps all in
+            memory.
     """
 
-    def __init__(self, g: Gaussians, shown: NDArray[np.bool_], views: PosedImages | Cameras) -> None:
+    def __init__(
+        self, g: Gaussians, shown: NDArray[np.bool_], views: PosedImages | Cameras, folder: Path | None = None
+    ) -> None:
         self._scene = g
+        self._scratch = Scratch(folder)
         self._ids = np.flatnonzero(shown)
         self._drawn = g.without_harmonics()[shown]
         self._views = views
@@ -296,8 +302,11 @@ class ColorMeasure:
         """
         views = self._views
         cameras = views if isinstance(views, Cameras) else views.cameras
-        evaluators = [None if colors is None else _lay_out(colors, to_records) for colors in tried]
-        release_freed_memory()
+        evaluators: list[Evaluator | None] = []
+        for colors in tried:
+            evaluators.append(None if colors is None else _lay_out(colors, to_records, self._scratch))
+            self._scratch.release()
+            release_freed_memory()
         found = np.empty((len(tried), len(views)))
 
         def measure(c: int) -> None:
@@ -308,6 +317,7 @@ class ColorMeasure:
             wanted = np.clip(seen.image(own) if isinstance(views, Cameras) else views.image(c), 0.0, 1.0)
             for k, evaluator in enumerate(evaluators):
                 shades = own if evaluator is None else evaluator.colors(self._scene.means, seen.eye, ids=ids)
+                self._scratch.release()
                 found[k, c] = min(float(psnr(np.clip(seen.image(shades), 0.0, 1.0), wanted)), MOST_PSNR)
 
         progress("measure", 0, len(views))

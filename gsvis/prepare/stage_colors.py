@@ -8,7 +8,7 @@ from typing import Any
 
 from gsvis.color.records import QuantizedColors, quantize
 from gsvis.color.srbf import SrbfColors
-from gsvis.color.storage import load_srbf, save_srbf, srbf_info
+from gsvis.color.storage import load_srbf_colors, save_srbf, srbf_info
 from gsvis.files.mapped import release_mapped
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.learned_colors import (
@@ -79,13 +79,15 @@ def run_colors(stages: Stages, levels: Levels, store: VisibilityStore) -> StageC
             stages.rest()
             if count_color_steps(stages):
                 colors, learned = _learn(stages, levels, colors)
+                stages.rest()
                 provenance["learned"] = {**learned.as_dict(), "remark": learned.remark}
             save_srbf(stages.work.at(name), levels.union, colors, provenance=provenance)
             stages.work.seal_file(name)
             del colors
+            stages.rest()
         path = stages.work.at(name)
         known = srbf_info(path).provenance
-        exact = stages.lay_away(load_srbf(path)[1])
+        exact = stages.lay_away(load_srbf_colors(path))
         made = StageColors(exact, str(known.get("directions")), known.get("learned"))
     stages.remarks += [made.learned["remark"]] if made.learned and made.learned["remark"] else []
     return made
@@ -119,6 +121,7 @@ def _learn(stages: Stages, levels: Levels, colors: SrbfColors) -> tuple[SrbfColo
         lesson, _ = read_lesson(
             highest, stages.photos, count_color_steps(stages), size=size, seed=seed, progress=stages.progress
         )  # the remarks are those of the levels
+    stages.rest()
 
     def to_records(exact: SrbfColors) -> SrbfColors:
         """Round colors as the package does."""

@@ -171,7 +171,9 @@ def learn_colors(
 
     def look_ahead(step: int) -> _Look | None:
         """Return the view of a step, which no step changes, while another one is taken; None on a device."""
-        return None if work.works else look(FixedView(drawn, cameras[view_of_step(step, len(views), config.seed)]))
+        if work.works or folder is not None:  # a view of a large scene takes most of a gigabyte
+            return None
+        return look(FixedView(drawn, cameras[view_of_step(step, len(views), config.seed)]))
 
     def descend(index: int, at: _Look) -> tuple[SeenColors, NDArray[np.float32]]:
         """Return the colors that a view shows, and the gradient by them."""
@@ -193,8 +195,6 @@ def learn_colors(
         index = view_of_step(step, len(views), config.seed)
         found, by_colors = work.run(partial(descend_there, index), partial(descend_here, index, ready))
         student.step(found, by_colors)
-        if step % _REST == 0:
-            student.rest()
         progress("learn", step + 1, config.steps)
     return student.finish()
 
@@ -280,12 +280,14 @@ class _Student:
         return see(begun, values, RowsOfView(rows, terms, starts), self._scene.means, eye)
 
     def step(self, seen: SeenColors, by_colors: NDArray[np.float32]) -> None:
-        """Take one step along the gradient (M, 3) of a loss by the colors that were seen."""
+        """Take one step along the gradient (M, 3) of a loss by the colors that were seen; rest after some steps."""
         gradients = seen.gradients(by_colors)
         self._bases.step(seen.rows.gaussians, gradients)
         self._terms.step(seen.rows.terms, gradients)
+        if self._bases.step_count % _REST == 1:
+            self._rest()
 
-    def rest(self) -> None:
+    def _rest(self) -> None:
         """Give back what was freed, and the memory of what lies in files; the next step reads its rows again."""
         self._scratch.release()
         release_freed_memory()

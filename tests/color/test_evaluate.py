@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -16,6 +17,7 @@ from gsvis.color.evaluate import Evaluator, evaluate, evaluate_along
 from gsvis.color.spaces import hsl_to_rgb
 from gsvis.color.srbf import MAX_DECAY, SrbfColors, spherical_coordinates
 from gsvis.color.variants import VARIANTS
+from gsvis.files.scratch import Scratch
 from tests.color.samples import random_colors
 
 EYE = np.array([0.3, -0.2, 0.1])
@@ -40,6 +42,17 @@ def test_kernel_equals_the_twin(name: str, count: int) -> None:
         assert got.shape == (count, 3)
         np.testing.assert_allclose(got, reference.evaluate(colors, means, EYE, active=mask), atol=3e-6)
     np.testing.assert_array_equal(maker.colors(means, EYE, active=active), evaluate(colors.keep(active), means, EYE))
+
+
+def test_colors_that_lie_in_files_are_the_same_after_their_memory_was_given_back(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    colors = random_colors(rng, 700, "rgb")
+    means = rng.normal(size=(700, 3)).astype(np.float32)
+    scratch = Scratch(tmp_path)
+    maker = Evaluator(colors, scratch=scratch)
+    for _ in range(2):
+        scratch.release()
+        np.testing.assert_array_equal(maker.colors(means, EYE), Evaluator(colors).colors(means, EYE))
 
 
 @given(

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import gsvis.train.colors
+from gsvis.color.records import quantize
 from gsvis.color.srbf import SrbfColors
 from gsvis.prepare import learned_colors
-from gsvis.prepare.learned_colors import Learned, Lesson, learn_lesson
+from gsvis.prepare.learned_colors import ColorMeasure, Learned, Lesson, learn_lesson
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.procedural import random_scene
 from gsvis.train.colors import LearnConfig
+from tests.color.samples import random_colors
 
 ONE = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3)))
 FITTED = SrbfColors(
@@ -83,3 +87,17 @@ def test_a_lower_mean_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_photographs_are_learned_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     kept, about = learn(monkeypatch, lambda x: [50.0 + 9.0 * x, 45.0 - 2.0 * x], "photographs")
     assert (kept, about.share) == (1.0, 1.0)
+
+
+def test_colors_in_files_measure_the_same_to_the_bit(tmp_path: Path) -> None:
+    g = random_scene(np.random.default_rng(2), 60)
+    colors = random_colors(np.random.default_rng(3), 60, "rgb")
+    shown = np.arange(60) % 4 > 0
+    cameras = Cameras.orbit((0, 0, 0), 12.0, 3, width=24, height=16)
+    other = replace(colors, intensities=0.5 * colors.intensities)
+    kept, filed = (
+        ColorMeasure(g, shown, cameras, folder).psnr_of(colors, other, to_records=lambda c: quantize(c).dequantize())
+        for folder in (None, tmp_path)
+    )
+    assert np.array_equal(kept, filed)
+    assert not np.array_equal(kept[0], kept[1])
