@@ -151,12 +151,15 @@ class Finder:
             view.add(sighting.ids[sighting.seen], sighting.classes[sighting.seen], sighting.viewpoint[None])
         shared = sum(sighting.looks > 0 for sighting in sightings)
         inner = self._probe(voxels, sightings, view)
+        for level in range(len(self.levels) - 1):
+            self._prepared.rest(level)
         rays = 0
         checked = np.zeros((0, 6))
         missed, bound, tile = (np.full(len(self.levels), np.nan) for _ in range(3))
         certified = range(len(self.levels)) if self.config.rays else range(0)
         for level in reversed(certified):
             found = self._mend(level, voxels, sightings, view)
+            self._prepared.rest(level)
             if not found.certificates:
                 continue
             last = found.certificates[-1]

@@ -13,6 +13,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.files.mapped import MappedArrays
 from gsvis.files.shelf import Shelf, Shelved, shelve
 from gsvis.progress import Progress, silent
 from gsvis.pvs.certificate import Certifier
@@ -26,6 +27,7 @@ __all__ = ["PreparedLevel", "PreparedLevels"]
 
 _Thing = TypeVar("_Thing")
 
+_LARGE = 64 << 20  # bytes of the file of a level from which its memory is given back
 _SOME = 20_000  # Gaussians that tell in which directions a scene lies
 
 
@@ -66,6 +68,7 @@ class PreparedLevels:
         self._levels = levels
         self._config = config
         self._made = made
+        self._files: dict[int, MappedArrays] = {}
         self._ready: dict[int, PreparedLevel] = {}
         self._shelf = None if folder is None or len(levels) == 1 else Shelf(folder)
         self._held: int | None = None  # the level asked for last
@@ -78,6 +81,12 @@ class PreparedLevels:
         if level not in self._ready:
             self._ready[level] = self._prepare(level)
         return self._ready[level]
+
+    def rest(self, level: int) -> None:
+        """Give back the memory of a large level that `shelve` made; its next use reads the file again."""
+        file = self._files.get(level)
+        if file is not None and file.nbytes >= _LARGE:
+            file.release()
 
     def shelve(self, folder: Path, progress: Progress = silent) -> tuple[Shelved[PreparedLevel], ...]:
         """Write all levels to files of a folder, which processes share; memory holds one level at a time.
@@ -103,7 +112,8 @@ class PreparedLevels:
         from gsvis.raycast import EllipsoidProxies, Tracer
 
         if self._made:
-            return self._made[level].open()
+            self._files[level] = MappedArrays(self._made[level].path)
+            return self._made[level].over(self._files[level])
         ids = np.flatnonzero(self._levels.member(level))
         union = self._levels.union
         look = self._keep(

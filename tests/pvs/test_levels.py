@@ -11,15 +11,19 @@ import pytest
 import gsvis.prepare.colors as colors_module
 from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError, SceneError
+from gsvis.files.mapped import MappedArrays
 from gsvis.jobs.workers import Workers
 from gsvis.prepare.colors import ColorConfig, find_kept, prepare_colors
 from gsvis.prepare.importance import importance_from_views
+from gsvis.pvs import prepared
+from gsvis.pvs._journal import pack_view
 from gsvis.pvs.build import build_pvs, journal_of
 from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.certificate import CertificateConfig, Certifier
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.estimate import estimate_pvs
+from gsvis.pvs.prepared import PreparedLevels
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
 from gsvis.raycast import EllipsoidProxies, Tracer
@@ -50,6 +54,31 @@ def setting() -> tuple[Levels, NavigableSpace, CellGrid]:
     levels = Levels(union[mixed], first[mixed], last[mixed], ("low", "medium", "high"))
     assert len(as_levels(union)) == 1
     return levels, made.navigable, CellGrid.over(made.navigable, max_cells=4)
+
+
+def test_cells_are_the_same_where_levels_give_their_memory_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    levels, space, grid = setting()
+    viewpoints = CellViewpoints(grid, space)
+    shared = SharedViewpoints(viewpoints)
+    kept = Finder(levels, CONFIG)
+    made = PreparedLevels(levels, CONFIG).shelve(tmp_path)
+    rested = set[str]()
+    release = MappedArrays.release
+
+    def note(file: MappedArrays) -> None:
+        rested.add(file.path.name)
+        release(file)
+
+    monkeypatch.setattr(prepared, "_LARGE", 0)
+    monkeypatch.setattr(MappedArrays, "release", note)
+    filed = Finder(levels, CONFIG, PreparedLevels(levels, CONFIG, made=made))
+    for cell in range(len(grid)):
+        sightings = [kept.look(shared.points[k]) for k in shared.of_cell(cell)]
+        found = [finder.find_cell(viewpoints.voxels(cell), sightings) for finder in (kept, filed)]
+        assert pack_view(found[0]) == pack_view(found[1])
+    assert len(rested) == len(levels)  # each level was given back
 
 
 def sets_of(store: VisibilityStore, ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
