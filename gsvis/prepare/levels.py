@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.files.mapped import release_mapped
 from gsvis.jobs.resume import folder_beside
 from gsvis.progress import Progress, silent
 from gsvis.render.judges import count_views
@@ -143,6 +144,7 @@ def make_levels(
         work=work,
         progress=progress,
     )
+    release_mapped(vars(g).values())  # levels are copies
     quality = None
     judged = tuple[Judged, ...]()
     if held_out is not None:

@@ -79,6 +79,7 @@ def _train(stages: Stages, folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     begun = stages.work.at(f"{folder.name}.begun")
     views = _views(stages)
+    stages.rest()
     stages.remarks += views.remarks
     for last in (False, True):
         try:

@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis._extras import require
 from gsvis.errors import ArgumentError, FormatError
+from gsvis.files.mapped import release_mapped
+from gsvis.jobs.freed_memory import release_freed_memory
 from gsvis.jobs.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
@@ -300,6 +302,7 @@ def train_levels(
         if config.merged and choose_by is not None and (k or not config.preview):  # it resembles its images already
             training = _slowed(training, Gaussians.concatenate([scene[stays], begin]), views)
         trainer = Trainer(views, begin, training, frozen=scene[stays], held_out=held_out, space=space)
+        _rest(scene)
         kept = None if work is None else Path(work) / f"{name}.checkpoint"
         result = trainer.run(checkpoint=kept, progress=report)
         owns.append(result.gaussians[frozen:])
@@ -311,9 +314,16 @@ def train_levels(
     return TrainedLevels(Levels(union, np.concatenate([first, own]), last, config.level_names), histories)
 
 
+def _rest(scene: Gaussians) -> None:
+    """Give back what was freed, and the memory of a scene that lies in mapped files: copies of its rows were made."""
+    release_mapped(vars(scene).values())
+    release_freed_memory()
+
+
 def _merge_rest(scene: Gaussians, stays: Mask, count: int, views: PosedImages | None) -> Gaussians:
     """Return the Gaussians that do not stay, merged into `count`; with views their opacities are fitted to these."""
     merged = merge_pairs(scene[~stays], count)
+    _rest(scene)
     return merged if views is None else fit_opacities(merged, scene[stays], views)
 
 
