@@ -19,6 +19,7 @@ from gsvis.color.blend import blend_colors
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.sh import seen_sh_colors
 from gsvis.color.srbf import SrbfColors
+from gsvis.files.mapped import release_mapped
 from gsvis.files.scratch import Scratch
 from gsvis.jobs.freed_memory import release_freed_memory
 from gsvis.jobs.in_order import in_order
@@ -253,6 +254,7 @@ def learn_lesson(
         return learned, about
     for share in _SHARES:
         blended = blend_colors(colors, learned, share)
+        release_mapped([*vars(colors).values(), *vars(learned).values()])
         (found,) = measure.psnr_of(blended, to_records=to_records)
         less = replace(about, psnr={"fitted": about.psnr["fitted"], "learned": found}, share=share)
         if less.helps:
