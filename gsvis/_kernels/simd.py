@@ -7,15 +7,16 @@ in the function that is being built, not an array: operators append instructions
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils
 
-__all__ = ["Builder", "Vector"]
+__all__ = ["Builder", "Vector", "each_bit", "loop_over_bits", "without_lowest"]
 
 _I32 = ir.IntType(32)
+_I64 = ir.IntType(64)
 _EXP2 = (1.0, 0.6931471806, 0.2402265079, 0.0555041086, 0.0096181292, 0.0013333558, 0.00015403530)
 """Taylor coefficients of 2^x, of degree 6; on [-1/2, 1/2] their error is below one float32 ulp."""
 
@@ -230,3 +231,50 @@ class Builder:
         other = ir.Constant(kind, [(k ^ step) + (self.lanes if k & step else 0) for k in range(self.lanes)])
         shuffled = [Vector(self, self.ir.shuffle_vector(a.value, b.value, mask)) for mask in (own, other)]
         return shuffled[0] + shuffled[1]
+
+
+def loop_over_bits(
+    builder: Any, bits: Any, given: list[Vector], body: Callable[[Any, list[Vector]], tuple[Any, list[Vector]]]
+) -> list[Vector]:
+    """Emit a loop that ends when no bit is left, and return the vectors that it ends with.
+
+    Args:
+        builder: The builder of the function.
+        bits: int64.
+        given: The vectors to begin with, kept in registers.
+        body: Returns the bits that are left after a turn, and the vectors, from those before it.
+    """
+    before = builder.block
+    head, inside, done = (builder.append_basic_block(name) for name in ("bits", "turn", "bits_done"))
+    builder.branch(head)
+    builder.position_at_end(head)
+    left = builder.phi(_I64)
+    left.add_incoming(bits, before)
+    held = [Vector(vector.home, builder.phi(vector.home.type)) for vector in given]
+    for vector, start in zip(held, given, strict=True):
+        vector.value.add_incoming(start.value, before)
+    builder.cbranch(builder.icmp_unsigned("!=", left, ir.Constant(_I64, 0)), inside, done)
+    builder.position_at_end(inside)
+    rest, behind = body(left, held)
+    left.add_incoming(rest, builder.block)
+    for vector, value in zip(held, behind, strict=True):
+        vector.value.add_incoming(value.value, builder.block)
+    builder.branch(head)
+    builder.position_at_end(done)
+    return held
+
+
+def each_bit(builder: Any, bits: Any, emit: Callable[[Any], None]) -> None:
+    """Emit a loop with the number of each bit of an int64, from the lowest on."""
+
+    def body(left: Any, held: list[Vector]) -> tuple[Any, list[Vector]]:
+        """Emit one turn."""
+        emit(builder.cttz(left, ir.Constant(ir.IntType(1), 1)))
+        return without_lowest(builder, left), held
+
+    loop_over_bits(builder, bits, [], body)
+
+
+def without_lowest(builder: Any, bits: Any) -> Any:
+    """Return an int64 but for the lowest bit that is set."""
+    return builder.and_(bits, builder.sub(bits, ir.Constant(_I64, 1)))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["count_done", "foresee_work"]
+__all__ = ["count_progress", "foresee_work"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -37,7 +37,7 @@ def foresee_work(importance: F64, sampled: F64, terms: I64) -> F64:
     return np.asarray(means[np.maximum(group, 0)], np.float64)
 
 
-def count_done(work: F64, parts: list[slice]) -> list[int]:
+def count_progress(work: F64, parts: list[slice]) -> list[int]:
     """Return the number of N Gaussians that count as done after each part: its share of the work; N after the last.
 
     Args:

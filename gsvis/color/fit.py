@@ -17,7 +17,7 @@ from gsvis import _check
 from gsvis.color._assemble import Terms, assemble
 from gsvis.color._prices import MOST_FITS, Curves, Prices, count_terms, find_prices
 from gsvis.color._pursuit import Pursuit, SplitFit
-from gsvis.color._work import count_done, foresee_work
+from gsvis.color._work import count_progress, foresee_work
 from gsvis.color.srbf import MAX_DECAY, SrbfColors
 from gsvis.color.variants import DEFAULT_VARIANT, VARIANTS, variant
 from gsvis.jobs.in_order import in_order
@@ -211,7 +211,7 @@ def fit_srbf(
         return assemble(config, fitted, pursuit.directions), int((weights.max(axis=1) <= 0.0).sum())
 
     parts = [slice(start, min(start + _CHUNK, n)) for start in range(0, n, _CHUNK)]
-    for done, (found, hidden) in zip(count_done(work, parts), in_order(fit_part, parts), strict=True):
+    for done, (found, hidden) in zip(count_progress(work, parts), in_order(fit_part, parts), strict=True):
         terms.append(found)
         unseen += hidden
         progress("fit", done, n)

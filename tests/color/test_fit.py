@@ -13,7 +13,7 @@ from gsvis.color import VARIANTS, FitConfig, SrbfFit, evaluate_along, fit_srbf, 
 from gsvis.color._kernels.fit import fit_lobes
 from gsvis.color._kernels.refine import add_lobe, find_products, refine, work
 from gsvis.color._pursuit import Pursuit
-from gsvis.color._work import count_done, foresee_work
+from gsvis.color._work import count_progress, foresee_work
 from gsvis.color.fit import sample_colors
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import face_directions, face_shares, icosphere
@@ -195,7 +195,7 @@ def test_foreseen_work_is_that_of_gaussians_as_important() -> None:
     sample = order[::5]
     work = foresee_work(importance, importance[sample], terms[sample])
     parts = [slice(start, min(start + 900, 20_000)) for start in range(0, 20_000, 900)]
-    done = count_done(work[order], parts)
+    done = count_progress(work[order], parts)
     truth = np.cumsum(exact[order])[[part.stop - 1 for part in parts]] / exact.sum()
     np.testing.assert_allclose(np.array(done) / 20_000, truth, atol=0.01)
     assert done[-1] == 20_000
@@ -203,8 +203,8 @@ def test_foreseen_work_is_that_of_gaussians_as_important() -> None:
 
 def test_even_work_counts_gaussians() -> None:
     parts = [slice(0, 4), slice(4, 8), slice(8, 9)]
-    assert count_done(np.ones(9), parts) == [4, 8, 9]
-    assert count_done(np.ones(0), []) == []
+    assert count_progress(np.ones(9), parts) == [4, 8, 9]
+    assert count_progress(np.ones(0), []) == []
     same = foresee_work(np.ones(5), np.ones(3), np.array([0, 3, 6]))
     assert np.ptp(same) == 0.0
 

@@ -17,7 +17,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from gsvis._kernels.simd import Builder, Vector
+from gsvis._kernels.simd import Builder, Vector, each_bit
 
 __all__ = ["HEIGHT", "LANES", "RECORD", "STRIDE", "blend_bands", "find_bands", "rows_with_light", "take_largest"]
 
@@ -141,22 +141,6 @@ class _Rows:
             self._half.store(Vector(self._half, part), self._data, end)
 
 
-def _each_band(builder: Any, bands: Any, emit: Any) -> None:
-    """Call `emit` with the number of each bit of `bands`, in a loop that is built around it."""
-    before = builder.block
-    head, inside, done = (builder.append_basic_block(name) for name in ("bands", "band", "bands_done"))
-    builder.branch(head)
-    builder.position_at_end(head)
-    left = builder.phi(_I64)
-    left.add_incoming(bands, before)
-    builder.cbranch(builder.icmp_unsigned("!=", left, _int(0)), inside, done)
-    builder.position_at_end(inside)
-    emit(builder.cttz(left, ir.Constant(ir.IntType(1), 1)))
-    left.add_incoming(builder.and_(left, builder.sub(left, _int(1))), builder.block)
-    builder.branch(head)
-    builder.position_at_end(done)
-
-
 class _Block:
     """A block of a square in the function under construction; bands are numbered as in `find_bands`."""
 
@@ -213,7 +197,7 @@ class _Block:
             offset = builder.add(self.offset_of(band), _int(HEIGHT * STRIDE))
             self.rows.store(crossed.where(far, self.rows.load(offset)), offset)
 
-        _each_band(self.ir, bands, emit)
+        each_bit(self.ir, bands, emit)
 
 
 @intrinsic
@@ -287,7 +271,7 @@ def blend_bands(typing_context, square, lit, records, number, bands, x, y, spent
             block.end(band, crossed)
             builder.store(builder.or_(builder.load(any_spent), builder.bitcast(crossed.value, _I16)), any_spent)
 
-        _each_band(builder, args[4], emit)
+        each_bit(builder, args[4], emit)
         for place, end in zip(room, ends, strict=True):
             lanes.store(Vector(lanes, builder.load(place)), largest, end)
         darkened = cgutils.alloca_once_value(builder, _int(0))

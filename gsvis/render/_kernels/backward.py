@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from gsvis._kernels.simd import Builder, Vector
+from gsvis._kernels.simd import Builder, Vector, each_bit
 from gsvis.render._kernels.lanes import (
     BLUE,
+    CENTER_X,
+    CENTER_Y,
     DEPTH,
     GREEN,
     LANES,
@@ -26,20 +27,16 @@ from gsvis.render._kernels.lanes import (
     block_of,
     load_channel,
     store_channel,
-    without_lowest,
 )
 
 __all__ = ["blend_backward", "take_out"]
 
-_I64 = ir.IntType(64)
 
-
-class Pixels(NamedTuple):
+class _Pixels(NamedTuple):
     """The pixels of one block that a Gaussian reaches, one in each lane.
 
     Attributes:
         state: Place of the block's state.
-        block: Its number, an int64.
         x: Column in the tile.
         y: Row in the tile.
         p: log2 alpha.
@@ -48,7 +45,6 @@ class Pixels(NamedTuple):
     """
 
     state: Any
-    block: Any
     x: Vector
     y: Vector
     p: Vector
@@ -63,27 +59,19 @@ def _find_power(record: Record, x: Vector, y: Vector) -> Vector:
     return record[5].times_plus(y, across).times_plus(y, along)
 
 
-def visit_blocks(lanes: Builder, state: Any, record: Record, todo: Any, body: Callable[[Pixels], None]) -> None:
+def _visit_blocks(lanes: Builder, state: Any, record: Record, todo: Any, body: Callable[[_Pixels], None]) -> None:
     """Call `body` for each block in `todo` in which a lit pixel sees the Gaussian."""
-    builder = lanes.ir
-    before = builder.block
-    head, inside, after = (builder.append_basic_block(name) for name in ("blocks", "block", "done"))
-    builder.branch(head)
-    builder.position_at_end(head)
-    left = builder.phi(_I64)
-    left.add_incoming(todo, before)
-    builder.cbranch(builder.icmp_unsigned("!=", left, as_int(0)), inside, after)
-    builder.position_at_end(inside)
-    block = builder.cttz(left, ir.Constant(ir.IntType(1), 1))
-    here, x, y = block_of(lanes, state, block)
-    t = lanes.load(here, as_int(T * LANES))
-    p = _find_power(record, x, y)
-    seen = p.compare(">=", -LOG2_255) & t.compare(">", 0.0)
-    with builder.if_then(seen.any(), likely=True):
-        body(Pixels(here, block, x, y, p, seen, t))
-    left.add_incoming(without_lowest(builder, left), builder.block)
-    builder.branch(head)
-    builder.position_at_end(after)
+
+    def visit(block: Any) -> None:
+        """Emit the code for one block."""
+        here, x, y = block_of(lanes, state, block)
+        t = load_channel(lanes, here, T)
+        p = _find_power(record, x, y)
+        seen = p.compare(">=", -LOG2_255) & t.compare(">", 0.0)
+        with lanes.ir.if_then(seen.any(), likely=True):
+            body(_Pixels(here, x, y, p, seen, t))
+
+    each_bit(lanes.ir, todo, visit)
 
 
 class _TakenOut(NamedTuple):
@@ -110,7 +98,7 @@ class _TakenOut(NamedTuple):
     behind: Vector
 
 
-def _take_out_of_block(lanes: Builder, record: Record, place: Vector, pixels: Pixels) -> _TakenOut:
+def _take_out_of_block(lanes: Builder, record: Record, place: Vector, pixels: _Pixels) -> _TakenOut:
     """Take a Gaussian out of a block: store the light in front of it, and add its own to the light from behind."""
     state = pixels.state
     response = pixels.p.exp2()
@@ -142,11 +130,11 @@ def take_out(typing_context, state, records, number, todo, place):
         record = Record(context, lanes, sig.args[1], args[1], args[2])
         place = lanes.splat(args[4])
 
-        def body(pixels: Pixels) -> None:
+        def body(pixels: _Pixels) -> None:
             """Emit the code for one block."""
             _take_out_of_block(lanes, record, place, pixels)
 
-        visit_blocks(lanes, data, record, args[3], body)
+        _visit_blocks(lanes, data, record, args[3], body)
         return context.get_dummy_value()
 
     return signature, generate
@@ -182,8 +170,8 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
         data, totals_at = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 5))
         lanes = Builder(builder, LANES, "float32")
         record = Record(context, lanes, sig.args[1], args[1], args[2])
-        center_x = record[10]
-        center_y = record[11]
+        center_x = record[CENTER_X]
+        center_y = record[CENTER_Y]
         place = lanes.splat(args[4])
         rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(10)]
 
@@ -192,7 +180,7 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
             held = Vector(lanes, builder.load(rooms[k]))
             builder.store((held + value if factor is None else value.times_plus(factor, held)).value, rooms[k])
 
-        def body(pixels: Pixels) -> None:
+        def body(pixels: _Pixels) -> None:
             """Emit the code for one block."""
             out = _take_out_of_block(lanes, record, place, pixels)
             by_alpha = out.front * out.shine - out.opening * out.behind
@@ -210,7 +198,7 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
             add(8, qx, dy)
             add(9, qy, dy)
 
-        visit_blocks(lanes, data, record, args[3], body)
+        _visit_blocks(lanes, data, record, args[3], body)
         totals = lanes.sums([Vector(lanes, builder.load(room)) for room in rooms])
         lanes.store_first(totals, 12, totals_at, builder.mul(args[6], as_int(12)))
         return context.get_dummy_value()

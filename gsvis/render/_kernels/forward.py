@@ -18,7 +18,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from gsvis._kernels.simd import Builder, Vector
+from gsvis._kernels.simd import Builder, Vector, loop_over_bits, without_lowest
 from gsvis.render._kernels.lanes import (
     BATCH,
     BLOCKS,
@@ -36,10 +36,20 @@ from gsvis.render._kernels.lanes import (
     darken,
     load_channel,
     store_channel,
-    without_lowest,
 )
 
-__all__ = ["blend", "gather", "list_by_block", "pass_members", "take_sums", "take_weight", "weigh"]
+__all__ = [
+    "Block",
+    "Held",
+    "blend",
+    "freeze",
+    "gather",
+    "list_by_block",
+    "place_of",
+    "take_sums",
+    "take_weight",
+    "weigh",
+]
 
 TOGETHER = 4  # Gaussians whose alphas are computed side by side
 _I64 = ir.IntType(64)
@@ -80,59 +90,81 @@ def list_by_block(typing_context, todo, count, members):
     return signature, generate
 
 
-def pass_members(
-    lanes: Builder,
-    records: Callable[[Any], Record],
-    members: Any,
-    pixels: tuple[Vector, Vector],
-    given: Held,
-    body: Callable[[Any, Record, Vector, Held], Held],
-    *,
-    backward: bool = False,
-) -> Held:
-    """Emit a loop over the Gaussians of a block, and return the vectors that it ends with.
+class Block:
+    """One block of a tile with Gaussians to pass, in the function under construction.
 
     Args:
-        lanes: Vectors of the pixels of a block.
-        records: Returns the record with a number.
-        members: int64, the numbers of the Gaussians, as bits.
-        pixels: Columns and rows of the pixels.
-        given: The vectors to begin with.
-        body: Returns the vectors behind one more Gaussian, from its number, its record, its alpha at the pixels, and
-            the vectors in front. It is also called for records that reach nothing.
-        backward: Take the Gaussians from the last to the first.
+        context: The typing context of the function.
+        builder: Its builder.
+        sig: Its signature, of which the first four arguments are: the state (BLOCKS, CHANNELS, LANES) float32; int64,
+            the number of the block; the records (BATCH + 1, RECORD) float32, of which the last reaches nothing; and
+            int64, the records to pass, as bits.
+        args: Its arguments.
     """
-    builder = lanes.ir
-    before = builder.block
-    head, inside, done = (builder.append_basic_block(name) for name in ("members", "some", "done"))
-    builder.branch(head)
-    builder.position_at_end(head)
-    left = builder.phi(_I64)
-    left.add_incoming(members, before)
-    held = [Vector(lanes, builder.phi(lanes.type)) for _ in given]
-    for vector, start in zip(held, given, strict=True):
-        vector.value.add_incoming(start.value, before)
-    builder.cbranch(builder.icmp_unsigned("!=", left, as_int(0)), inside, done)
-    builder.position_at_end(inside)
-    numbers = []
-    rest = left
-    for _ in range(TOGETHER):
-        if backward:
-            number, rest = _take_last(builder, rest)
-        else:
-            number = builder.cttz(rest, ir.Constant(ir.IntType(1), 0))  # BATCH, if none is left
-            rest = without_lowest(builder, rest)
-        numbers.append(number)
-    some = [records(number) for number in numbers]
-    behind = held
-    for number, record, alpha in zip(numbers, some, _find_alphas(lanes, some, *pixels), strict=True):
-        behind = body(number, record, alpha, behind)
-    for vector, value in zip(held, behind, strict=True):
-        vector.value.add_incoming(value.value, builder.block)
-    left.add_incoming(rest, builder.block)
-    builder.branch(head)
-    builder.position_at_end(done)
-    return held
+
+    def __init__(self, context: Any, builder: Any, sig: Any, args: Any) -> None:
+        self.lanes = Builder(builder, LANES, "float32")
+        state = context.make_array(sig.args[0])(context, builder, args[0]).data
+        self._number = args[1]
+        self._members = args[3]
+        here, x, y = block_of(self.lanes, state, args[1])
+        self._here = here
+        self._pixels = x, y
+        self._record = partial(Record, context, self.lanes, sig.args[2], args[2])
+
+    def load(self, channel: int) -> Vector:
+        """Return the vector of a channel."""
+        return load_channel(self.lanes, self._here, channel)
+
+    def store(self, vector: Vector, channel: int) -> None:
+        """Store a vector as a channel."""
+        store_channel(self.lanes, vector, self._here, channel)
+
+    def end(self, light: Vector, lit: Any) -> None:
+        """Store the light that is left, and clear the bit of the block in `lit` if there is none."""
+        self.store(light, T)
+        darken(self.lanes, self._number, light, lit)
+
+    def pass_members(
+        self, given: Held, body: Callable[[Any, Record, Vector, Held], Held], *, backward: bool = False
+    ) -> Held:
+        """Emit a loop over the Gaussians, and return the vectors that it ends with.
+
+        Args:
+            given: The vectors to begin with.
+            body: Returns the vectors behind one more Gaussian, from its number, its record, its alpha at the pixels,
+                and the vectors in front. It is also called for records that reach nothing.
+            backward: Take the Gaussians from the last to the first.
+        """
+        builder = self.lanes.ir
+
+        def turn(left: Any, held: Held) -> tuple[Any, Held]:
+            """Pass the next few."""
+            numbers = []
+            for _ in range(TOGETHER):
+                number, left = (_take_last if backward else _take_first)(builder, left)
+                numbers.append(number)
+            some = [self._record(number) for number in numbers]
+            for number, record, alpha in zip(numbers, some, _find_alphas(self.lanes, some, *self._pixels), strict=True):
+                held = body(number, record, alpha, held)
+            return left, held
+
+        return loop_over_bits(builder, self._members, given, turn)
+
+
+def freeze(light: Vector, left: Vector, spent: float) -> Vector:
+    """Return the light of pixels, negated where the falling light lies at or below `spent`."""
+    return light.compare(">", spent).where(left, left.most(left * -1.0) * -1.0)
+
+
+def place_of(builder: Any, number: Any, sums: int, k: int) -> Any:
+    """Return where in an array (BATCH + 1, sums, LANES) sum k of a record begins."""
+    return builder.add(builder.mul(number, as_int(sums * LANES)), as_int(k * LANES))
+
+
+def _take_first(builder: Any, members: Any) -> tuple[Any, Any]:
+    """Return the lowest number among members, or BATCH, and the members without it."""
+    return builder.cttz(members, ir.Constant(ir.IntType(1), 0)), without_lowest(builder, members)
 
 
 def _take_last(builder: Any, members: Any) -> tuple[Any, Any]:
@@ -188,12 +220,9 @@ def blend(typing_context, state, block, records, members, lit):
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
-        data, lit_blocks = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
-        lanes = Builder(builder, LANES, "float32")
-        here, x, y = block_of(lanes, data, args[1])
-        records = partial(Record, context, lanes, sig.args[2], args[2])
-        channels = range(STOP + 1)
-        given = [load_channel(lanes, here, channel) for channel in channels]
+        lit_blocks = context.make_array(sig.args[4])(context, builder, args[4]).data
+        part = Block(context, builder, sig, args)
+        given = [part.load(channel) for channel in range(STOP + 1)]
         given.append(given[T].most(0.0))
 
         def body(number: Any, record: Record, alpha: Vector, held: Held) -> Held:
@@ -210,11 +239,10 @@ def blend(typing_context, state, block, records, members, lit):
                 after,
             ]
 
-        *held, light = pass_members(lanes, records, args[3], (x, y), given, body)
-        held[T] = light.compare(">", _SPENT).where(held[T], held[T].most(held[T] * -1.0) * -1.0)
-        for channel in channels:
-            store_channel(lanes, held[channel], here, channel)
-        darken(lanes, args[1], held[T], lit_blocks)
+        left, *held, light = part.pass_members(given, body)
+        for channel, vector in enumerate(held, RED):
+            part.store(vector, channel)
+        part.end(freeze(light, left, _SPENT), lit_blocks)
         return context.get_dummy_value()
 
     return signature, generate
@@ -238,25 +266,21 @@ def weigh(typing_context, state, block, records, members, lit, sums):
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
-        data, lit_blocks, totals = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4, 5))
-        lanes = Builder(builder, LANES, "float32")
-        here, x, y = block_of(lanes, data, args[1])
-        records = partial(Record, context, lanes, sig.args[2], args[2])
+        lit_blocks, totals = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (4, 5))
+        part = Block(context, builder, sig, args)
+        lanes = part.lanes
 
         def body(number: Any, record: Record, alpha: Vector, held: Held) -> Held:
             """Return the light behind a Gaussian, and add its weights."""
             del record
             weight, after, _ = _take(alpha, held[0])
-            first = builder.mul(number, as_int(2 * LANES))
-            second = builder.add(first, as_int(LANES))
+            first, second = (place_of(builder, number, 2, k) for k in range(2))
             lanes.store(lanes.load(totals, first).most(weight), totals, first)
             lanes.store(lanes.load(totals, second) + weight, totals, second)
             return [after]
 
-        (light,) = pass_members(lanes, records, args[3], (x, y), [load_channel(lanes, here, T)], body)
-        light = light.compare(">", _SPENT).where(light, 0.0)
-        store_channel(lanes, light, here, T)
-        darken(lanes, args[1], light, lit_blocks)
+        (light,) = part.pass_members([part.load(T)], body)
+        part.end(light.compare(">", _SPENT).where(light, 0.0), lit_blocks)
         return context.get_dummy_value()
 
     return signature, generate
@@ -273,8 +297,7 @@ def take_weight(typing_context, sums, number):
         """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        places = [builder.mul(args[1], as_int(2 * LANES))]
-        places.append(builder.add(places[0], as_int(LANES)))
+        places = [place_of(builder, args[1], 2, k) for k in range(2)]
         largest, total = (lanes.load(data, place) for place in places)
         for place in places:
             lanes.store(lanes.constant(0.0), data, place)
@@ -301,25 +324,22 @@ def gather(typing_context, state, block, records, members, lit, sums):
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
-        data, lit_blocks, totals = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4, 5))
-        lanes = Builder(builder, LANES, "float32")
-        here, x, y = block_of(lanes, data, args[1])
-        records = partial(Record, context, lanes, sig.args[2], args[2])
-        colors = [load_channel(lanes, here, channel) for channel in (RED, GREEN, BLUE)]
+        lit_blocks, totals = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (4, 5))
+        part = Block(context, builder, sig, args)
+        lanes = part.lanes
+        colors = [part.load(channel) for channel in (RED, GREEN, BLUE)]
 
         def body(number: Any, record: Record, alpha: Vector, held: Held) -> Held:
             """Return the light behind a Gaussian, and add its sums."""
             del record
             weight, after, _ = _take(alpha, held[0])
             for k, color in enumerate(colors):
-                place = builder.add(builder.mul(number, as_int(3 * LANES)), as_int(k * LANES))
+                place = place_of(builder, number, 3, k)
                 lanes.store(weight.times_plus(color, lanes.load(totals, place)), totals, place)
             return [after]
 
-        (light,) = pass_members(lanes, records, args[3], (x, y), [load_channel(lanes, here, T)], body)
-        light = light.compare(">", _SPENT).where(light, 0.0)
-        store_channel(lanes, light, here, T)
-        darken(lanes, args[1], light, lit_blocks)
+        (light,) = part.pass_members([part.load(T)], body)
+        part.end(light.compare(">", _SPENT).where(light, 0.0), lit_blocks)
         return context.get_dummy_value()
 
     return signature, generate
@@ -335,7 +355,7 @@ def take_sums(typing_context, sums, number, out, pair):
         """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
         data, rows = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 2))
-        places = [builder.add(builder.mul(args[1], as_int(3 * LANES)), as_int(k * LANES)) for k in range(3)]
+        places = [place_of(builder, args[1], 3, k) for k in range(3)]
         totals = lanes.sums([lanes.load(data, place) for place in places])
         for place in places:
             lanes.store(lanes.constant(0.0), data, place)

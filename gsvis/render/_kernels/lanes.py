@@ -47,7 +47,6 @@ __all__ = [
     "find_reached_blocks",
     "load_channel",
     "store_channel",
-    "without_lowest",
 ]
 
 SIDE = 4  # pixels of a block along each side, and blocks of a tile
@@ -155,11 +154,6 @@ def block_of(lanes: Builder, state: Any, block: Any) -> tuple[Any, Vector, Vecto
     first = lanes.ir.mul(block, as_int(LANES))
     x, y = (lanes.load(lanes.table(name, rows), first) for name, rows in (("columns", _COLUMNS), ("rows", _ROWS)))
     return here, x, y
-
-
-def without_lowest(builder: Any, bits: Any) -> Any:
-    """Return the bits but the lowest that is set."""
-    return builder.and_(bits, builder.sub(bits, ir.Constant(bits.type, 1)))
 
 
 def load_channel(lanes: Builder, state: Any, channel: int) -> Vector:

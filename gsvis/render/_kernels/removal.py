@@ -8,7 +8,6 @@ number of threads.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,9 +16,9 @@ from numba.extending import intrinsic
 
 from gsvis._kernels.compiled import inner, kernel, uncounted
 from gsvis._kernels.shared import take_next
-from gsvis._kernels.simd import Builder, Vector
+from gsvis._kernels.simd import Vector
 from gsvis._kernels.threads import in_threads
-from gsvis.render._kernels.forward import Held, list_by_block, pass_members, take_sums
+from gsvis.render._kernels.forward import Block, Held, freeze, list_by_block, place_of, take_sums
 from gsvis.render._kernels.lanes import (
     BATCH,
     BLOCKS,
@@ -29,11 +28,6 @@ from gsvis.render._kernels.lanes import (
     STOP,
     Record,
     T,
-    as_int,
-    block_of,
-    darken,
-    load_channel,
-    store_channel,
 )
 from gsvis.render._kernels.tiles import allocate, call_up, find_lane, open_tile, prepare
 
@@ -69,11 +63,9 @@ def _dim(typing_context, state, block, records, members, lit):
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
-        data, lit_blocks = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
-        lanes = Builder(builder, LANES, "float32")
-        here, x, y = block_of(lanes, data, args[1])
-        records = partial(Record, context, lanes, sig.args[2], args[2])
-        given = [load_channel(lanes, here, channel) for channel in (T, STOP)]
+        lit_blocks = context.make_array(sig.args[4])(context, builder, args[4]).data
+        part = Block(context, builder, sig, args)
+        given = [part.load(channel) for channel in (T, STOP)]
         given.append(given[0].most(0.0))
 
         def body(number: Any, record: Record, alpha: Vector, held: Held) -> Held:
@@ -84,11 +76,9 @@ def _dim(typing_context, state, block, records, members, lit):
             is_lit = light.compare(">", SPENT)
             return [is_lit.where(after, left), is_lit.where(record[PLACE], stop), after]
 
-        left, stop, light = pass_members(lanes, records, args[3], (x, y), given, body)
-        left = light.compare(">", SPENT).where(left, left.most(left * -1.0) * -1.0)
-        store_channel(lanes, left, here, T)
-        store_channel(lanes, stop, here, STOP)
-        darken(lanes, args[1], left, lit_blocks)
+        left, stop, light = part.pass_members(given, body)
+        part.store(stop, STOP)
+        part.end(freeze(light, left, SPENT), lit_blocks)
         return context.get_dummy_value()
 
     return signature, generate
@@ -116,12 +106,11 @@ def _remove(typing_context, state, block, records, members, sums):
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         """Emit the code."""
-        data, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
-        lanes = Builder(builder, LANES, "float32")
-        here, x, y = block_of(lanes, data, args[1])
-        records = partial(Record, context, lanes, sig.args[2], args[2])
-        stop = load_channel(lanes, here, STOP)
-        residuals = [load_channel(lanes, here, channel) for channel in RESIDUAL]
+        out = context.make_array(sig.args[4])(context, builder, args[4]).data
+        part = Block(context, builder, sig, args)
+        lanes = part.lanes
+        stop = part.load(STOP)
+        residuals = [part.load(channel) for channel in RESIDUAL]
 
         def body(number: Any, record: Record, alpha: Vector, held: Held) -> Held:
             """Return the light and the color in front of a Gaussian, and add its sums."""
@@ -132,7 +121,7 @@ def _remove(typing_context, state, block, records, members, sums):
             share = present * alpha
             front = t / (lanes.constant(1.0) - share)
             weight = alpha * front
-            places = [builder.add(builder.mul(number, as_int(3 * LANES)), as_int(k * LANES)) for k in range(3)]
+            places = [place_of(builder, number, 3, k) for k in range(3)]
             totals = [lanes.load(out, place) for place in places]
             in_front = []
             for channel, behind in enumerate(colors):
@@ -146,10 +135,10 @@ def _remove(typing_context, state, block, records, members, sums):
                 lanes.store(total, out, place)
             return [front, *in_front]
 
-        given = [load_channel(lanes, here, channel) for channel in (T, *BEHIND)]
-        held = pass_members(lanes, records, args[3], (x, y), given, body, backward=True)
-        for channel, vector in zip((T, *BEHIND), held, strict=True):
-            store_channel(lanes, vector, here, channel)
+        channels = (T, *BEHIND)
+        held = part.pass_members([part.load(channel) for channel in channels], body, backward=True)
+        for channel, vector in zip(channels, held, strict=True):
+            part.store(vector, channel)
         return context.get_dummy_value()
 
     return signature, generate

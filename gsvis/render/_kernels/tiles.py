@@ -17,6 +17,8 @@ from gsvis.render._kernels.forward import blend, list_by_block, take_weight, wei
 from gsvis.render._kernels.lanes import (
     BATCH,
     BLOCKS,
+    CENTER_X,
+    CENTER_Y,
     CHANNELS,
     LANES,
     PLACE,
@@ -89,8 +91,8 @@ def _shape(splats, m, left, top, records, j):
     records[j, 3] = a
     records[j, 4] = b
     records[j, 5] = c
-    records[j, 10] = x
-    records[j, 11] = y
+    records[j, CENTER_X] = x
+    records[j, CENTER_Y] = y
 
 
 @uncounted
