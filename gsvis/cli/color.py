@@ -24,6 +24,7 @@ from gsvis.errors import SceneError
 from gsvis.files.limits import open_regular
 from gsvis.files.output import check_file
 from gsvis.io.sources import check_source, inputs_of
+from gsvis.jobs.freed_memory import keep_freed_memory
 from gsvis.prepare.warm import warm_colors
 from gsvis.pvs.store import VisibilityStore
 from gsvis.render.device import choose_device
@@ -63,6 +64,8 @@ def run_color(command: Color) -> None:
     walk = check_where(command.where, "" if command.pvs is None else "--pvs")
     device = choose_device(command.learning.device)
     config = replace(config, backend=device.backend)
+    if command.max_memory is None:
+        keep_freed_memory()
     with ExitStack() as opened, Status() as status:
         say_device(device, status)
         store = None if command.pvs is None else opened.enter_context(VisibilityStore.open(command.pvs))

@@ -26,6 +26,7 @@ from gsvis.errors import FormatError
 from gsvis.files.output import check_folder
 from gsvis.io.levels import MAP, check_levels_target, check_names, load_levels, save_levels
 from gsvis.io.sources import check_source
+from gsvis.jobs.freed_memory import keep_freed_memory
 from gsvis.prepare.warm import warm_levels
 from gsvis.render.device import choose_device
 from gsvis.scene.content import scene_hash
@@ -97,6 +98,8 @@ def run_levels(command: Levels) -> None:
     walk = check_where(command.where, "" if command.training.photos is None else "--photos")
     device = choose_device(command.device)
     config = replace(config, backend=device.backend)
+    if command.max_memory is None:
+        keep_freed_memory()
     with Status() as status:
         say_device(device, status)
         plan = _plan(command, config, walk, status)

@@ -67,6 +67,7 @@ _CALLED = {
 
 def run_prepare(command: Prepare) -> None:
     """Prepare a package: check, make what is missing, write the package, print the result."""
+    from gsvis.jobs.freed_memory import keep_freed_memory
     from gsvis.jobs.work_folder import WorkFolder
     from gsvis.prepare import estimate_preparation, prepare_package
 
@@ -78,6 +79,8 @@ def run_prepare(command: Prepare) -> None:
     with Status() as status, naming(**MEMORY), ExitStack() as opened:
         say_device(device, status)
         source = open_source(command.scene, command.lod, status, "see")
+        if command.work.max_memory is None and source.union.nbytes < LARGE:
+            keep_freed_memory()
         if not command.work.dry_run:
             source = opened.enter_context(_mapped(source, Path(command.out).absolute().parent))
         if command.meters_per_unit is None:

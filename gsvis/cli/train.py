@@ -23,6 +23,7 @@ from gsvis.files.atomic import atomic_path, remove_partials
 from gsvis.files.limits import open_regular
 from gsvis.files.output import check_file
 from gsvis.io.scenes import WRITTEN, suffix_of
+from gsvis.jobs.freed_memory import keep_freed_memory
 from gsvis.prepare.warm import warm_training
 from gsvis.render.device import Device, choose_device
 
@@ -66,6 +67,7 @@ def run_train(command: Train) -> None:
     require("gsvis train", "torch")
     config = _check_arguments(command)
     device = choose_device(command.device)
+    keep_freed_memory()
     with Status() as status:
         say_device(device, status)
         plan = _plan(command, config, device, status)
