@@ -179,7 +179,7 @@ def _nearest(signatures: U64, centers: U64) -> NDArray[np.int64]:
 def _nearest_of(signatures: U64, centers: U64) -> NDArray[np.int64]:
     """Return the label of the nearest center of each signature, one by one."""
     labels = np.zeros(len(signatures), np.int64)
-    kernels.nearest_centers(np.ascontiguousarray(signatures), centers, labels)
+    kernels.nearest_centers(np.ascontiguousarray(signatures), np.ascontiguousarray(centers.T), labels)
     return labels
 
 
@@ -195,7 +195,7 @@ def _majorities(sample: U64, labels: NDArray[np.int64], centers: U64) -> U64:
 
 def _chain(centers: U64) -> NDArray[np.int64]:
     """Return (K,) an order of the centers: the one with the fewest bits first, then always the nearest one left."""
-    bits = np.unpackbits(centers.astype("<u8").view(np.uint8), axis=1).astype(np.int32)
+    bits = np.unpackbits(centers.astype("<u8").view(np.uint8), axis=1).astype(np.float32)  # exact, and fast to multiply
     counts = bits.sum(axis=1)
     chain = np.empty(len(centers), np.int64)
     left = np.ones(len(centers), bool)
@@ -203,7 +203,7 @@ def _chain(centers: U64) -> NDArray[np.int64]:
     for place in range(len(centers)):
         chain[place] = at
         left[at] = False
-        apart = np.where(left, counts - 2 * (bits @ bits[at]), np.iinfo(np.int32).max)
+        apart = np.where(left, counts - 2 * (bits @ bits[at]), np.inf)
         at = int(apart.argmin())
     return chain
 

@@ -10,9 +10,14 @@ import numpy as np
 
 from gsvis._kernels.bits import lowest, ones
 from gsvis._kernels.compiled import kernel
+from gsvis._kernels.threads import in_parts
 
 _CHUNK = 1024  # words of one roaring container: 65,536 positions
 _ARRAY = 4096  # most positions of a container that lists them
+_PART = 1024  # signatures that a thread compares at least
+_BELOW = np.uint64(32)  # bits of the number of a center, below its number of differing bits
+_NUMBER = np.uint64(2**32 - 1)
+_MOST = np.uint64(2**64 - 1)
 
 
 @kernel
@@ -172,20 +177,27 @@ def add_signature(words, bit, signatures):
             word &= word - np.uint64(1)
 
 
+@in_parts(lambda signatures, *_: (len(signatures) + _PART - 1) // _PART)
 @kernel
-def nearest_centers(signatures, centers, labels):
-    """Write for each signature (M, W) the center (K, W) with the fewest differing bits; the first of equal ones."""
-    for i in range(len(signatures)):
-        best = 1 << 30
-        label = 0
-        for k in range(len(centers)):
-            apart = 0
-            for w in range(centers.shape[1]):
-                apart += np.int64(ones(signatures[i, w] ^ centers[k, w]))
-            if apart < best:
-                best = apart
-                label = k
-        labels[i] = label
+def nearest_centers(begin, end, signatures, columns, labels):
+    """Write for each signature (M, W) the center with the fewest differing bits; the first of equal ones.
+
+    `columns` (W, K) are the words of the centers, one row for each word, so that many are compared at a time.
+    """
+    words, centers = columns.shape
+    keys = np.empty(centers, np.uint64)
+    for i in range(_PART * begin, min(_PART * end, len(signatures))):
+        for k in range(np.uint64(centers)):
+            keys[k] = k
+        for w in range(np.uint64(words)):
+            word = signatures[i, w]
+            column = columns[w]
+            for k in range(np.uint64(centers)):
+                keys[k] += ones(word ^ column[k]) << _BELOW
+        least = _MOST
+        for k in range(np.uint64(centers)):
+            least = min(least, keys[k])
+        labels[i] = least & _NUMBER
 
 
 @kernel
