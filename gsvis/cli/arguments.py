@@ -221,9 +221,7 @@ class Pvs:
     """The store to write, such as scene.pvs; an existing one is replaced when the new one is complete."""
     lod: Lod = None
     where: Annotated[Shown, with_help(show=IN_DOUBT)] = Shown()
-    sets: Annotated[CertifiedSets, with_help({"cells": "512, or 128 around an object whose sets hardly grow then"})] = (
-        CertifiedSets()
-    )
+    sets: Annotated[CertifiedSets, with_help({"cells": "512, or 128 where sets hardly grow then"})] = CertifiedSets()
     work: Annotated[
         Cluster,
         with_help(

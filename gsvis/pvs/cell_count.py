@@ -1,7 +1,7 @@
-"""Choose the number of cells: fewer around an object that an eye sees mostly, or whose sets hardly grow.
+"""Choose the number of cells: fewer where an eye sees most of a scene, or where larger cells hardly see more.
 
-Smaller cells have smaller sets, and each costs looks and a certificate. From around an object neighbors see nearly the
-same, so that a quarter of the cells may have sets that are hardly larger (docs/design/053). World frame.
+Smaller cells have smaller sets, and each costs looks and a certificate. Around an object and outdoors neighbors may see
+nearly the same, so that a quarter of the cells have sets that are hardly larger (docs/design/053). World frame.
 """
 
 from __future__ import annotations
@@ -31,29 +31,31 @@ _FEWER = 4
 
 
 def fitting_cells(g: Gaussians, space: NavigableSpace, most: int) -> int:
-    """Return the number of cells for a space: `most`, or a quarter of it around some objects.
+    """Return the number of cells for a space: `most`, or a quarter of it where more would hardly make sets smaller.
 
     Args:
         g: The scene, N Gaussians.
-        space: Its navigable space. Only spaces around an object get fewer cells.
+        space: Its navigable space. Rooms and spaces that were given keep all cells.
         most: Most cells, at least 1.
 
     Returns:
         A quarter of `most` around an object of which one eye sees at least 40%, or whose sets grow by at most a tenth
-        in larger cells; else `most`.
+        in larger cells; in an open place both must hold. Else `most`.
 
     Raises:
         ValueError: If `most` is below 1.
     """
     _check.positive_int("most", most)
-    if space.kind.kind != "object" or most < _FEWER:
+    kind = space.kind.kind
+    if kind not in ("object", "open place") or most < _FEWER:
         return most
     bright = np.count_nonzero(g.opacities >= MIN_ALPHA)
     if not bright:
         return most
     look = Look(g, "hybrid", _SIZE, TAU)
-    if _count_seen_by_one(look, space) >= _MUCH * bright:
-        return most // _FEWER
+    sees_much = _count_seen_by_one(look, space) >= _MUCH * bright
+    if sees_much == (kind == "object"):  # the other question decides nothing
+        return most // _FEWER if sees_much else most
     eyes = _spread_eyes(space)
     counts = (most, most // _FEWER)
     all_cells, fewer = (_count_seen(look, CellGrid.over(space, max_cells=n), space, eyes) for n in counts)

@@ -1,4 +1,4 @@
-"""How many cells a space gets: fewer around an object that is seen from anywhere, never fewer elsewhere."""
+"""How many cells a space gets: fewer around an object or in a place that is seen from anywhere, never in rooms."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from gsvis.scene.kinds import SpaceKind
 from gsvis.scene.navigable import NavigableSpace
 
 OBJECT = SpaceKind("object", "made for a test")
+PLACE = SpaceKind("open place", "made for a test")
 
 
 def space_around(kind: SpaceKind) -> NavigableSpace:
@@ -35,8 +36,16 @@ def test_an_object_that_hides_most_of_itself_keeps_all_cells() -> None:
     assert fitting_cells(ball(0.99, 5000), space_around(OBJECT), 256) == 256
 
 
-@pytest.mark.parametrize("kind", ["rooms", "open place", "given"])
-def test_other_places_keep_all_cells(kind: str) -> None:
+def test_an_open_place_that_is_seen_through_has_a_quarter_of_the_cells() -> None:
+    assert fitting_cells(ball(0.05), space_around(PLACE), 256) == 64
+
+
+def test_an_open_place_that_hides_most_of_itself_keeps_all_cells() -> None:
+    assert fitting_cells(ball(0.99, 5000), space_around(PLACE), 256) == 256
+
+
+@pytest.mark.parametrize("kind", ["rooms", "given"])
+def test_other_spaces_keep_all_cells(kind: str) -> None:
     assert fitting_cells(ball(0.05), space_around(SpaceKind(kind, "made for a test")), 256) == 256  # type: ignore[arg-type]
 
 
