@@ -8,14 +8,50 @@ from numba import njit
 
 from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.raycast._kernels.bvh import MOST_LEVELS, WIDTH, build
-from gsvis.raycast._kernels.simd import meets_eight
-from gsvis.raycast._kernels.trace import STACK
+from gsvis.raycast._kernels.simd import EIGHT, meets_eight, peaks_of_eight
+from gsvis.raycast._kernels.trace import REACH, STACK, peak_of
 from tests.raycast.scenes import KINDS, scene
 
 
 @njit
 def eight(boxes, node, origin, inverse, t_stop, t_near):  # type: ignore[no-untyped-def]
     return meets_eight(boxes, node, origin, inverse, t_stop, t_near)
+
+
+@njit
+def eight_peaks(table, queue, first, origin, direction, squares, peaks):  # type: ignore[no-untyped-def]
+    return peaks_of_eight(table, queue, first, origin, direction, squares, peaks)
+
+
+@njit(error_model="numpy")
+def one_peak(table, g, origin, direction):  # type: ignore[no-untyped-def]
+    x, y, z = origin
+    u, v, w = direction
+    return peak_of(table, g, x, y, z, u, v, w)
+
+
+def test_eight_gaussians_at_once_equal_one_after_the_other_to_the_bit() -> None:
+    rng = np.random.default_rng(1)
+    table = rng.normal(size=(200, 16)).astype(np.float32)
+    table[:, 3:7] /= np.linalg.norm(table[:, 3:7], axis=1, keepdims=True)
+    table[:, 7:10] = np.exp(table[:, 7:10])
+    table[:, 13:16] *= 1e-8
+    table[:, REACH] = np.exp(4.0 * table[:, REACH])
+    squares = np.empty(EIGHT)
+    peaks = np.empty(EIGHT)
+    met_some = 0
+    for first in range(0, 192, EIGHT):
+        queue = rng.permutation(len(table))
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        ray = tuple(rng.normal(size=3)), tuple(direction)
+        met = eight_peaks(table, queue, first, *ray, squares, peaks)
+        for k in range(EIGHT):
+            square, peak = one_peak(table, queue[first + k], *ray)
+            assert (squares[k], peaks[k]) == (square, peak)
+            assert bool(met >> k & 1) == (square <= table[queue[first + k], REACH])
+        met_some += int(met).bit_count()
+    assert 20 < met_some < 172
 
 
 def test_eight_boxes_at_once_equal_one_box_after_the_other() -> None:

@@ -11,8 +11,7 @@ from gsvis._kernels.compiled import kernel, njit
 from gsvis._kernels.faces import face_of
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.threads import in_parts, in_threads
-from gsvis.raycast._kernels.bvh import WIDTH
-from gsvis.raycast._kernels.trace import STACK, weight_of
+from gsvis.raycast._kernels.trace import find_room, weight_of
 
 
 @in_parts(lambda directions, *_: len(directions))
@@ -97,9 +96,7 @@ def trace_outward(begin, end, table, boxes, children, targets, rays, free, origi
         g = targets[i]
         if g < 0:
             continue
-        stack_node = np.empty(STACK, np.int64)
-        stack_near = np.empty(STACK, np.float64)
-        t_near = np.empty(WIDTH, np.float64)
+        room = find_room()
         eye = np.empty(3, np.float64)
         mean = table[g, :3]
         for f in range(rays.shape[0]):
@@ -107,9 +104,7 @@ def trace_outward(begin, end, table, boxes, children, targets, rays, free, origi
                 outward = rays[f, k]
                 if not first_free(mean, outward, free, origin, size, eye):
                     continue
-                weight = weight_of(
-                    table, boxes, children, eye, -outward, g, limits, tau, stack_node, stack_near, t_near
-                )
+                weight = weight_of(table, boxes, children, eye, -outward, g, limits, tau, room)
                 if weight >= tau:
                     sets[i, f >> 3] |= np.uint8(1 << (f & 7))
                     break
@@ -120,9 +115,7 @@ def trace_outward(begin, end, table, boxes, children, targets, rays, free, origi
 def see_from_space(taken, table, boxes, children, targets, rays, free, origin, size, limits, tau, seen):
     """Write into seen (M,) whether an eye in a free voxel sees targets (M,) along one of rays (R, 3), tried in turn."""
     blocks = (len(targets) + 63) // 64
-    stack_node = np.empty(STACK, np.int64)
-    stack_near = np.empty(STACK, np.float64)
-    t_near = np.empty(WIDTH, np.float64)
+    room = find_room()
     eye = np.empty(3, np.float64)
     block = take_next(taken)
     while block < blocks:
@@ -134,9 +127,7 @@ def see_from_space(taken, table, boxes, children, targets, rays, free, origin, s
             for k in range(len(rays)):
                 if not first_free(table[g, :3], rays[k], free, origin, size, eye):
                     continue
-                weight = weight_of(
-                    table, boxes, children, eye, -rays[k], g, limits, tau, stack_node, stack_near, t_near
-                )
+                weight = weight_of(table, boxes, children, eye, -rays[k], g, limits, tau, room)
                 if weight >= tau:
                     seen[i] = True
                     break

@@ -6,6 +6,8 @@ per Gaussian in hierarchy order, which fills a cache line; the constants below s
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from gsvis._kernels.bits import lowest
@@ -14,7 +16,7 @@ from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.shared import share, take_next
 from gsvis._kernels.threads import in_parts, on_numba_threads
 from gsvis.raycast._kernels.bvh import MOST_LEVELS, WIDTH
-from gsvis.raycast._kernels.simd import meets_eight
+from gsvis.raycast._kernels.simd import EIGHT, meets_eight, peaks_of_eight
 
 # Columns of a row. A float64 is split into two float32, its rounded value and the rest.
 # 0 to 2 are the mean, 3 to 6 the unit quaternion wxyz, 7 to 9 the inverse standard deviations, 13 to 15 their rests.
@@ -24,14 +26,44 @@ RANK = 12  # among Gaussians of equal mean
 
 STACK = 1 + (WIDTH - 1) * MOST_LEVELS  # a traversal leaves at most seven children waiting on each level
 WAITING = 32  # Gaussians that may wait, a power of two
-_WAIT = 8  # Gaussians that wait while their rows are loaded
+_LOADING = 4  # Gaussians whose rows are loaded while eight others are met
 _LINE = 16  # float32 of a cache line
 _PRUNE_EVERY = 16
 TINY = 1e-300
 
 
+class Room(NamedTuple):
+    """Room for what waits while a ray traverses the hierarchy; see `find_room`.
+
+    Attributes:
+        waiting: (STACK + WAITING,) int64, nodes, then a ring of Gaussians.
+        entries: (STACK,) float64, where the ray meets these nodes.
+        near: (WIDTH,) float64, where it meets the children of a node.
+        squares: (EIGHT,) float64 and
+        peaks: (EIGHT,) float64, as `peaks_of_eight` writes them.
+    """
+
+    waiting: Any
+    entries: Any
+    near: Any
+    squares: Any
+    peaks: Any
+
+
+@inner
+def find_room():
+    """Return room for one ray at a time."""
+    return Room(
+        np.empty(STACK + WAITING, np.int64),
+        np.empty(STACK, np.float64),
+        np.empty(WIDTH, np.float64),
+        np.empty(EIGHT, np.float64),
+        np.empty(EIGHT, np.float64),
+    )
+
+
 @njit(cache=True, inline="always")
-def _peak(table, g, ox, oy, oz, dx, dy, dz):
+def peak_of(table, g, ox, oy, oz, dx, dy, dz):
     """Return the least squared distance on the ray, in standard deviations, and the t of the line's largest response.
 
     A negative t lies behind the origin; the half-line's largest response is then at the origin, at depth 0.
@@ -113,24 +145,24 @@ def count_until_spent(alphas, count, min_transmittance):
 
 
 @inner
-def trace_ray(table, boxes, children, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near):
+def trace_ray(table, boxes, children, ray_o, ray_d, limits, ids, alphas, depths, room):
     """Find all hits of one ray, sorted and cut where transmittance is spent.
 
     `limits` is (min_alpha, max_alpha, min_transmittance). Returns the number of hits and the buffers. Full buffers are
     replaced by larger ones.
     """
     scene = table, boxes, children
-    count = _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near)
+    count = _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, room)
     while count < 0:
         ids = np.empty(2 * len(ids), np.int64)
         alphas = np.empty(len(ids), np.float64)
         depths = np.empty(len(ids), np.float32)
-        count = _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near)
+        count = _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, room)
     return count, ids, alphas, depths
 
 
 @uncounted
-def _visit(scene, node, ray, t_stop, stack_node, stack_near, t_near, top, last):
+def _visit(scene, node, ray, t_stop, room, top, last):
     """Push what a ray meets of a node, nodes on the stack and Gaussians on the queue behind it, and start to load it.
 
     Args:
@@ -138,9 +170,7 @@ def _visit(scene, node, ray, t_stop, stack_node, stack_near, t_near, top, last):
         node: The node.
         ray: Its origin and its inverse direction.
         t_stop: Where its light is spent.
-        stack_node: (STACK + WAITING,) int64, changed in place: waiting nodes, then a ring of waiting Gaussians.
-        stack_near: (STACK,) float64, changed in place: where the ray meets them.
-        t_near: (8,) float64, room.
+        room: Changed in place.
         top: Number of nodes that wait.
         last: Number of the next Gaussian of the queue.
 
@@ -148,36 +178,49 @@ def _visit(scene, node, ray, t_stop, stack_node, stack_near, t_near, top, last):
         The new `top` and `last`.
     """
     table, boxes, children = scene
-    met = np.uint64(meets_eight(boxes, node, ray[0], ray[1], t_stop, t_near))
+    met = np.uint64(meets_eight(boxes, node, ray[0], ray[1], t_stop, room.near))
     base = top
     while met != 0:
         k = lowest(met)
         met &= met - np.uint64(1)
-        near = t_near[k]
+        near = room.near[k]
         child = children[node, k]
         if child < 0:
             prefetch(table, table.shape[1] * (-1 - child))
-            stack_node[STACK + (last & WAITING - 1)] = -1 - child
+            room.waiting[STACK + (last & WAITING - 1)] = -1 - child
             last += 1
             continue
         for line in range(0, 6 * WIDTH, _LINE):
             prefetch(boxes, 6 * WIDTH * child + line)
         prefetch(children, WIDTH * child)
         j = top
-        while j > base and stack_near[j - 1] < near:  # keep the part of this node sorted, nearest on top
-            stack_near[j], stack_node[j] = stack_near[j - 1], stack_node[j - 1]
+        while j > base and room.entries[j - 1] < near:  # keep the part of this node sorted, nearest on top
+            room.entries[j], room.waiting[j] = room.entries[j - 1], room.waiting[j - 1]
             j -= 1
-        stack_near[j] = near
-        stack_node[j] = child
+        room.entries[j] = near
+        room.waiting[j] = child
         top += 1
     return top, last
 
 
 @uncounted
-def _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near):
+def _meet_eight(table, ray_o, ray_d, room, first, last):
+    """Write where a ray comes nearest to the next eight of the queue, or to those left; return a mask of those met."""
+    start = STACK + (first & WAITING - 1)
+    some = min(last - first, EIGHT)
+    for k in range(some, EIGHT):
+        room.waiting[start + k] = room.waiting[start]
+    origin = (ray_o[0], ray_o[1], ray_o[2])
+    direction = (ray_d[0], ray_d[1], ray_d[2])
+    met = peaks_of_eight(table, room.waiting, start, origin, direction, room.squares, room.peaks)
+    return np.uint64(met) & ((np.uint64(1) << np.uint64(some)) - np.uint64(1))
+
+
+@uncounted
+def _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, room):
     """Write the hits of one ray into the buffers; see `trace_ray`. Returns their number, or -1 if a buffer is full.
 
-    Gaussians wait until some nodes and Gaussians after them are met, because rows of the table are far in memory.
+    Gaussians wait until eight are there and some more after them, because rows of the table are far in memory.
     """
     table = scene[0]
     min_alpha, max_alpha, min_transmittance = limits
@@ -190,43 +233,47 @@ def _find_hits(scene, ray_o, ray_d, limits, ids, alphas, depths, stack_node, sta
     left = 1.0  # transmittance behind all hits found so far
     count = np.int64(0)
     prune_at = 0
-    stack_node[0] = 0
-    stack_near[0] = 0.0
+    room.waiting[0] = 0
+    room.entries[0] = 0.0
     top = 1
     first = 0
     last = 0
     while top > 0 or first < last:
         if top > 0:
             top -= 1
-            if stack_near[top] <= t_stop:
-                node = stack_node[top]
-                top, last = _visit(scene, node, ray, t_stop, stack_node, stack_near, t_near, top, last)
-        while last - first > (_WAIT if top > 0 else 0):
-            g = stack_node[STACK + (first & WAITING - 1)]
-            first += 1
-            squared, depth = _peak(table, g, ray_o[0], ray_o[1], ray_o[2], dx, dy, dz)
-            if squared > table[g, REACH] or depth > t_stop:
-                continue
-            alpha = table[g, OPACITY] * np.exp(-0.5 * squared)
-            if alpha < min_alpha:
-                continue
-            if count == len(ids):
-                return np.int64(-1)
-            alpha = min(alpha, max_alpha)
-            ids[count], alphas[count], depths[count] = g, alpha, np.float32(depth)
-            count += 1
-            left *= 1.0 - alpha
-            if left < min_transmittance and count >= prune_at:
-                sort_hits(table, ids, alphas, depths, count)
-                count = count_until_spent(alphas, count, min_transmittance)
-                t_stop = max(np.float64(depths[count - 1]) * (1.0 + 1e-6), 0.0)
-                prune_at = count + _PRUNE_EVERY
+            if room.entries[top] <= t_stop:
+                top, last = _visit(scene, room.waiting[top], ray, t_stop, room, top, last)
+        while last - first > (EIGHT + _LOADING if top > 0 else 0):
+            met = _meet_eight(table, ray_o, ray_d, room, first, last)
+            start = STACK + (first & WAITING - 1)
+            first = min(first + EIGHT, last)
+            while met != 0:
+                k = lowest(met)
+                met &= met - np.uint64(1)
+                g = room.waiting[start + np.int64(k)]
+                depth = room.peaks[k]
+                if depth > t_stop:
+                    continue
+                alpha = table[g, OPACITY] * np.exp(-0.5 * room.squares[k])
+                if alpha < min_alpha:
+                    continue
+                if count == len(ids):
+                    return np.int64(-1)
+                alpha = min(alpha, max_alpha)
+                ids[count], alphas[count], depths[count] = g, alpha, np.float32(depth)
+                count += 1
+                left *= 1.0 - alpha
+                if left < min_transmittance and count >= prune_at:
+                    sort_hits(table, ids, alphas, depths, count)
+                    count = count_until_spent(alphas, count, min_transmittance)
+                    t_stop = max(np.float64(depths[count - 1]) * (1.0 + 1e-6), 0.0)
+                    prune_at = count + _PRUNE_EVERY
     sort_hits(table, ids, alphas, depths, count)
     return np.int64(count_until_spent(alphas, count, min_transmittance))
 
 
 @uncounted
-def weight_of(table, boxes, children, ray_o, ray_d, target, limits, floor, stack_node, stack_near, t_near):
+def weight_of(table, boxes, children, ray_o, ray_d, target, limits, floor, room):
     """Return the weight of one Gaussian on one ray, or 0 below `floor`, so that hidden Gaussians end early.
 
     Transmittance is a product, so occluders need no order and no list.
@@ -238,7 +285,7 @@ def weight_of(table, boxes, children, ray_o, ray_d, target, limits, floor, stack
     dx = ray_d[0]
     dy = ray_d[1]
     dz = ray_d[2]
-    squared, depth = _peak(table, target, ox, oy, oz, dx, dy, dz)
+    squared, depth = peak_of(table, target, ox, oy, oz, dx, dy, dz)
     alpha = table[target, OPACITY] * np.exp(-0.5 * squared)
     if alpha < min_alpha:
         return 0.0
@@ -249,13 +296,13 @@ def weight_of(table, boxes, children, ray_o, ray_d, target, limits, floor, stack
     origin = (ox, oy, oz)
     inverse = (1.0 / (dx if dx != 0.0 else TINY), 1.0 / (dy if dy != 0.0 else TINY), 1.0 / (dz if dz != 0.0 else TINY))
     left = 1.0
-    stack_node[0] = 0
-    stack_near[0] = 0.0
+    room.waiting[0] = 0
+    room.entries[0] = 0.0
     top = 1
     while top > 0:
         top -= 1
-        node = stack_node[top]
-        met = meets_eight(boxes, node, origin, inverse, t_stop, t_near)
+        node = room.waiting[top]
+        met = meets_eight(boxes, node, origin, inverse, t_stop, room.near)
         base = top
         for k in range(WIDTH):
             if not (met >> k) & 1:
@@ -263,17 +310,17 @@ def weight_of(table, boxes, children, ray_o, ray_d, target, limits, floor, stack
             child = children[node, k]
             if child >= 0:
                 j = top
-                while j > base and stack_near[j - 1] < t_near[k]:
-                    stack_near[j], stack_node[j] = stack_near[j - 1], stack_node[j - 1]
+                while j > base and room.entries[j - 1] < room.near[k]:
+                    room.entries[j], room.waiting[j] = room.entries[j - 1], room.waiting[j - 1]
                     j -= 1
-                stack_near[j] = t_near[k]
-                stack_node[j] = child
+                room.entries[j] = room.near[k]
+                room.waiting[j] = child
                 top += 1
                 continue
             g = -1 - child
             if g == target:
                 continue
-            squared, depth = _peak(table, g, ox, oy, oz, dx, dy, dz)
+            squared, depth = peak_of(table, g, ox, oy, oz, dx, dy, dz)
             if squared > table[g, REACH] or depth > t_stop:
                 continue
             other = table[g, OPACITY] * np.exp(-0.5 * squared)
@@ -289,9 +336,7 @@ def weight_of(table, boxes, children, ray_o, ray_d, target, limits, floor, stack
 def weights_of(begin, end, table, boxes, children, rays_o, rays_d, targets, limits, floor, out):
     """Write the weight of targets[r] on ray r into out (R,)."""
     for block in range(begin, end):
-        stack_node = np.empty(STACK + WAITING, np.int64)
-        stack_near = np.empty(STACK, np.float64)
-        t_near = np.empty(WIDTH, np.float64)
+        room = find_room()
         for r in range(256 * block, min(len(rays_o), 256 * block + 256)):
             out[r] = weight_of(
                 table,
@@ -302,9 +347,7 @@ def weights_of(begin, end, table, boxes, children, rays_o, rays_d, targets, limi
                 targets[r],
                 limits,
                 floor,
-                stack_node,
-                stack_near,
-                t_near,
+                room,
             )
 
 
@@ -331,9 +374,7 @@ def trace_rays(
         ids = np.empty(512, np.int64)
         alphas = np.empty(512, np.float64)
         depths = np.empty(512, np.float32)
-        stack_node = np.empty(STACK + WAITING, np.int64)
-        stack_near = np.empty(STACK, np.float64)
-        t_near = np.empty(WIDTH, np.float64)
+        room = find_room()
         for r in range(64 * block, min(len(rays_o), 64 * block + 64)):
             count, ids, alphas, depths = trace_ray(
                 table,
@@ -345,9 +386,7 @@ def trace_rays(
                 ids,
                 alphas,
                 depths,
-                stack_node,
-                stack_near,
-                t_near,
+                room,
             )
             out_count[r] = count
             if count <= capacity:
@@ -394,7 +433,7 @@ def weigh_candidates(
         count = np.int64(0)
         for c in range(start, stop):
             g = candidates[c]
-            squared, depth = _peak(
+            squared, depth = peak_of(
                 table, g, rays_o[r, 0], rays_o[r, 1], rays_o[r, 2], rays_d[r, 0], rays_d[r, 1], rays_d[r, 2]
             )
             alpha = table[g, OPACITY] * np.exp(-0.5 * squared)
@@ -422,9 +461,7 @@ def _raise_row(row, table, boxes, children, rays_o, rays_d, limits, taken, out):
     ids = np.empty(512, np.int64)
     alphas = np.empty(512, np.float64)
     depths = np.empty(512, np.float32)
-    stack_node = np.empty(STACK + WAITING, np.int64)
-    stack_near = np.empty(STACK, np.float64)
-    t_near = np.empty(WIDTH, np.float64)
+    room = find_room()
     first = 64 * take_next(taken)
     while first < len(rays_o):
         for r in range(first, min(len(rays_o), first + 64)):
@@ -438,9 +475,7 @@ def _raise_row(row, table, boxes, children, rays_o, rays_d, limits, taken, out):
                 ids,
                 alphas,
                 depths,
-                stack_node,
-                stack_near,
-                t_near,
+                room,
             )
             transmittance = 1.0
             for i in range(count):
