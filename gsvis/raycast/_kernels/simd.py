@@ -127,7 +127,8 @@ def _transposed(builder: Any, rows: list[Vector]) -> list[Vector]:
         for k in range(size):
             if k & step:
                 continue
-            upper, lower = rows[k], rows[k + step]
+            upper = rows[k]
+            lower = rows[k + step]
             left = [lane if not lane & step else size + lane - step for lane in range(size)]
             right = [lane + step if not lane & step else size + lane for lane in range(size)]
             for place, lanes in ((k, left), (k + step, right)):
