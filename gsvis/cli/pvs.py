@@ -45,6 +45,7 @@ MEMORY = {"max_memory": f"--max-memory; {IN_TILES}"}
 """The option of a memory limit that a scene does not fit."""
 
 _CELLS = 512
+_FEWER_CELLS = 128  # where sets hardly grow
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +148,7 @@ def _plan(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status
     size = command.sets.cell_size
     most = command.sets.cells
     if size is None:
-        grid = CellGrid.over(space, max_cells=most or fitting_cells(source.gaussians, space, _CELLS))
+        grid = CellGrid.over(space, max_cells=most or fitting_cells(source.gaussians, space, _CELLS, _FEWER_CELLS))
     else:
         grid = CellGrid.over(space, max_cells=most or MAX_CELLS, cell_size=size)
     return _Plan(source, grid, space, config, remarks, settled.written)

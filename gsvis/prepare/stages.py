@@ -29,7 +29,7 @@ from gsvis.jobs.work_folder import WorkFolder, digest_of_folder
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.surroundings import Surroundings
 from gsvis.progress import Progress
-from gsvis.pvs.cell_count import MOST_CELLS, fitting_cells
+from gsvis.pvs.cell_count import FEWER_CELLS, MOST_CELLS, fitting_cells
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.joined import JoinedCells
 from gsvis.render.judges import JUDGES
@@ -124,7 +124,7 @@ class Stages:
         size = self.config.cell_size
         if size is not None:
             return CellGrid.over(self.space, max_cells=MAX_CELLS, cell_size=size)
-        most = self.config.cells or fitting_cells(self.highest, self.space, MOST_CELLS)
+        most = self.config.cells or fitting_cells(self.highest, self.space, MOST_CELLS, FEWER_CELLS)
         return CellGrid.over(self.space, max_cells=most, cell_size=None)
 
     @cached_property

@@ -18,36 +18,38 @@ from gsvis.raycast.tracer import TAU
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["MOST_CELLS", "fitting_cells"]
+__all__ = ["FEWER_CELLS", "MOST_CELLS", "fitting_cells"]
 
-MOST_CELLS = 256  # most cells of a space, unless somebody asks for another number
+MOST_CELLS = 128  # most cells of a package, unless somebody asks for another number
+FEWER_CELLS = 64  # most where sets hardly grow
 
 _EYES = 8  # eyes whose cells are compared
 _VIEWPOINTS = 4  # of each of these cells
 _SIZE = 128  # pixels along a side of the faces around a viewpoint
 _MUCH = 0.4  # share of a scene that an eye sees, mean, from which fewer cells are enough
-_LARGER = 1.1  # size of the sets of fewer cells over that of all, up to which fewer are enough
-_FEWER = 4
+_LARGER = 1.1  # size of the sets of fewer cells over that of four times as many, up to which fewer are enough
 
 
-def fitting_cells(g: Gaussians, space: NavigableSpace, most: int) -> int:
-    """Return the number of cells for a space: `most`, or a quarter of it where more would hardly make sets smaller.
+def fitting_cells(g: Gaussians, space: NavigableSpace, most: int, fewer: int) -> int:
+    """Return the number of cells for a space: `most`, or `fewer` where more would hardly make sets smaller.
 
     Args:
         g: The scene, N Gaussians.
         space: Its navigable space. Rooms and spaces that were given keep all cells.
         most: Most cells, at least 1.
+        fewer: At least 1.
 
     Returns:
-        A quarter of `most` around an object of which one eye sees at least 40%, or whose sets grow by at most a tenth
-        in larger cells; in an open place both must hold. Else `most`.
+        `fewer` around an object of which one eye sees at least 40%, or whose sets are at most a tenth larger than those
+        of four times as many cells; in an open place both must hold. Else `most`, as where `fewer` is not less.
 
     Raises:
-        ValueError: If `most` is below 1.
+        ValueError: If a number is below 1.
     """
     _check.positive_int("most", most)
+    _check.positive_int("fewer", fewer)
     kind = space.kind.kind
-    if kind not in ("object", "open place") or most < _FEWER:
+    if kind not in ("object", "open place") or fewer >= most:
         return most
     bright = np.count_nonzero(g.opacities >= MIN_ALPHA)
     if not bright:
@@ -55,11 +57,11 @@ def fitting_cells(g: Gaussians, space: NavigableSpace, most: int) -> int:
     look = Look(g, "hybrid", _SIZE, TAU)
     sees_much = _count_seen_by_one(look, space) >= _MUCH * bright
     if sees_much == (kind == "object"):  # the other question decides nothing
-        return most // _FEWER if sees_much else most
+        return fewer if sees_much else most
     eyes = _spread_eyes(space)
-    counts = (most, most // _FEWER)
-    all_cells, fewer = (_count_seen(look, CellGrid.over(space, max_cells=n), space, eyes) for n in counts)
-    return most // _FEWER if fewer <= _LARGER * all_cells else most
+    counts = (4 * fewer, fewer)
+    many, few = (_count_seen(look, CellGrid.over(space, max_cells=n), space, eyes) for n in counts)
+    return fewer if few <= _LARGER * many else most
 
 
 def _count_seen_by_one(look: Look, space: NavigableSpace) -> float:

@@ -27,33 +27,35 @@ def ball(opacity: float, count: int = 600) -> Gaussians:
     return Gaussians(means, [[1, 0, 0, 0]] * count, [[0.15] * 3] * count, [opacity] * count, np.zeros((count, 1, 3)))
 
 
-@pytest.mark.parametrize("most", [4, 100, 256, 512])
-def test_an_object_that_is_seen_through_has_a_quarter_of_the_cells(most: int) -> None:
-    assert fitting_cells(ball(0.05), space_around(OBJECT), most) == most // 4
+@pytest.mark.parametrize(("most", "fewer"), [(4, 1), (128, 64), (512, 128)])
+def test_an_object_that_is_seen_through_has_fewer_cells(most: int, fewer: int) -> None:
+    assert fitting_cells(ball(0.05), space_around(OBJECT), most, fewer) == fewer
 
 
 def test_an_object_that_hides_most_of_itself_keeps_all_cells() -> None:
-    assert fitting_cells(ball(0.99, 5000), space_around(OBJECT), 256) == 256
+    assert fitting_cells(ball(0.99, 5000), space_around(OBJECT), 256, 64) == 256
 
 
-def test_an_open_place_that_is_seen_through_has_a_quarter_of_the_cells() -> None:
-    assert fitting_cells(ball(0.05), space_around(PLACE), 256) == 64
+def test_an_open_place_that_is_seen_through_has_fewer_cells() -> None:
+    assert fitting_cells(ball(0.05), space_around(PLACE), 256, 64) == 64
 
 
 def test_an_open_place_that_hides_most_of_itself_keeps_all_cells() -> None:
-    assert fitting_cells(ball(0.99, 5000), space_around(PLACE), 256) == 256
+    assert fitting_cells(ball(0.99, 5000), space_around(PLACE), 256, 64) == 256
 
 
 @pytest.mark.parametrize("kind", ["rooms", "given"])
 def test_other_spaces_keep_all_cells(kind: str) -> None:
-    assert fitting_cells(ball(0.05), space_around(SpaceKind(kind, "made for a test")), 256) == 256  # type: ignore[arg-type]
+    assert fitting_cells(ball(0.05), space_around(SpaceKind(kind, "made for a test")), 256, 64) == 256  # type: ignore[arg-type]
 
 
 def test_few_cells_stay_and_none_is_refused() -> None:
-    assert fitting_cells(ball(0.05), space_around(OBJECT), 3) == 3
+    assert fitting_cells(ball(0.05), space_around(OBJECT), 3, 64) == 3
     with pytest.raises(ValueError, match="most"):
-        fitting_cells(ball(0.05), space_around(OBJECT), 0)
+        fitting_cells(ball(0.05), space_around(OBJECT), 0, 64)
+    with pytest.raises(ValueError, match="fewer"):
+        fitting_cells(ball(0.05), space_around(OBJECT), 3, 0)
 
 
 def test_a_scene_of_nothing_has_all_cells() -> None:
-    assert fitting_cells(ball(0.001), space_around(OBJECT), 256) == 256
+    assert fitting_cells(ball(0.001), space_around(OBJECT), 256, 64) == 256
