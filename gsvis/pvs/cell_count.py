@@ -21,7 +21,7 @@ from gsvis.scene.navigable import NavigableSpace
 __all__ = ["FEWER_CELLS", "MOST_CELLS", "fitting_cells"]
 
 MOST_CELLS = 128  # most cells of a package, unless somebody asks for another number
-FEWER_CELLS = 64  # most where sets hardly grow
+FEWER_CELLS = 32  # most where sets hardly grow
 
 _EYES = 8  # eyes whose cells are compared
 _VIEWPOINTS = 4  # of each of these cells
