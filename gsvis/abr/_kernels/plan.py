@@ -253,10 +253,10 @@ def _test_gaussians(words, places, bodies, planes, sides, border, inside):
 def _gather(words, allowed, owed, gaussians, gone, free, due):
     """Set `free` (S,) to Gaussians neither held nor gone, and `due` (S,) to those that owe terms and are not gone."""
     for s in range(len(words)):
-        w = words[s]
+        w = np.uint64(np.uint32(words[s]))
         free[s] = allowed[s] & ~(gaussians[w] | gone[w])
     for s in range(len(owed)):
-        due[s] = allowed[s] & owed[s] & ~gone[words[s]]
+        due[s] = allowed[s] & owed[s] & ~gone[np.uint64(np.uint32(words[s]))]
 
 
 @inner(error_model="numpy")
@@ -292,7 +292,7 @@ def _list_left(slots, masks, rest, out):
     count = 0
     for u in range(len(slots)):
         out[count] = u
-        count += (masks[u] & rest[slots[u]]) != 0
+        count += (masks[u] & rest[np.uint64(np.uint32(slots[u]))]) != 0
     return count
 
 
@@ -348,6 +348,80 @@ def _estimate_limit(units, runs, cell, table, limits, work):
     return len(sizes)
 
 
+@njit(inline="always")
+def _place(code, is_near, shape):
+    """Return where the offset of Gaussians of a code lies in the flat table of shape (4 L L, 1 + K, 3)."""
+    return np.uint64(shape[1] * shape[2]) * code + np.uint64(INSIDE if is_near else OUTSIDE)
+
+
+@inner(error_model="numpy")
+def _find_keys(units, ahead, table, work, count):
+    """Set the first `count` of `work.buckets` and `work.keys`: those of Gaussians and common terms of `work.chosen`.
+
+    The key is that of the Gaussians of a unit if one is left, else that of its terms.
+    """
+    slots = units.slots
+    masks = units.masks
+    codes = units.codes
+    areas = units.areas
+    pixels = units.pixels
+    free = work.free
+    squares = work.squares
+    sides = work.sides
+    chosen = work.chosen
+    buckets = work.buckets
+    keys = work.keys
+    own = np.uint64(len(table) // 4)
+    shape = table.shape
+    parts = np.uint64(shape[2])
+    offsets = table.reshape(-1)
+    for j in range(count):  # without branches and signed indices, so that it runs in SIMD lanes
+        u = np.uint64(np.uint32(chosen[j]))
+        s = np.uint64(np.uint32(slots[u]))
+        code = np.uint64(codes[u])
+        mask = masks[u]
+        is_near = sides[s] != 0 if code < own else (mask & ahead[s]) != 0
+        place = _place(code, is_near, shape) + (np.uint64(0) if mask & free[s] else parts)
+        bucket = bucket_of(areas[u] / squares[s] + pixels[u])
+        buckets[j] = bucket
+        keys[j] = offsets[place] + bucket
+
+
+@inner(error_model="numpy")
+def _find_strong_keys(units, ahead, table, work, count):
+    """Lower the keys of `_find_keys` where only terms are left, and some of them change the image much."""
+    slots = units.slots
+    masks = units.masks
+    codes = units.codes
+    free = work.free
+    every = work.due
+    sides = work.sides
+    chosen = work.chosen
+    buckets = work.buckets
+    keys = work.keys
+    strong = work.inside
+    own = np.uint64(len(table) // 4)
+    shape = table.shape
+    strongest = np.uint64(STRONG * shape[2])  # the first kind of strong terms
+    offsets = table.reshape(-1)
+    strong[:] = 0
+    for k in range(1, len(every)):
+        for s in range(len(strong)):
+            strong[s] |= every[k, s]
+    for j in range(count):
+        u = np.uint64(np.uint32(chosen[j]))
+        s = np.uint64(np.uint32(slots[u]))
+        code = np.uint64(codes[u])
+        mask = masks[u]
+        is_near = sides[s] != 0 if code < own else (mask & ahead[s]) != 0
+        place = _place(code, is_near, shape)
+        geometry = offsets[place] + buckets[j]
+        bound = offsets[place + strongest]
+        early = bound if bound > geometry else geometry
+        has_strong = ((mask & strong[s]) != 0) & ((mask & free[s]) == 0)
+        keys[j] = early if has_strong & (early < keys[j]) else keys[j]
+
+
 @inner(error_model="numpy")
 def _choose(units, ahead, table, limit, work, count):
     """Keep the first `count` units of `work.chosen` that may have a key below `limit`, and compute their buckets.
@@ -358,47 +432,22 @@ def _choose(units, ahead, table, limit, work, count):
         Number of units kept, number of listed words, and whether all units that are left to send were kept.
     """
     slots = units.slots
-    masks = units.masks
     codes = units.codes
-    areas = units.areas
-    pixels = units.pixels
-    free = work.free
-    every = work.due
-    squares = work.squares
-    own = np.uint64(len(table) // 4)
+    own = len(table) // 4
     chosen = work.chosen
     buckets = work.buckets
+    keys = work.keys
     sides = work.sides
     middle_sides = work.middle_sides
-    parts = np.uint64(table.shape[2])
-    kinds = np.uint64(table.shape[1])
-    keys = table.reshape(-1)
-    strong = work.inside
+    _find_keys(units, ahead, table, work, count)
+    if len(work.due) > 1:
+        _find_strong_keys(units, ahead, table, work, count)
     filled = 0
     skipped = False
-    strongest = parts * np.uint64(min(table.shape[1] - 1, STRONG))  # the first kind of strong terms
-    strong[:] = 0
-    for k in range(1, len(every)):
-        for s in range(len(strong)):
-            strong[s] |= every[k, s]
-    for j in range(count):  # without branches
-        u = chosen[j]
-        s = np.uint64(np.uint32(slots[u]))
-        code = np.uint64(codes[u])
-        mask = masks[u]
-        fresh = mask & free[s]
-        in_view = sides[s] != 0
-        is_near = (mask & ahead[s]) != 0
-        near = in_view if code < own else is_near
-        place = parts * kinds * code + np.uint64(INSIDE if near else OUTSIDE)
-        bucket = bucket_of(areas[u] / squares[s] + pixels[u])
-        geometry = keys[place] + bucket
-        terms = keys[place + parts] + bucket
-        bound = keys[place + strongest] if mask & strong[s] else NEVER
-        early = bound if bound > geometry else geometry
-        key = geometry if fresh else early if early < terms else terms
-        chosen[filled] = u
-        buckets[filled] = bucket
+    for j in range(count):
+        key = keys[j]
+        chosen[filled] = chosen[j]
+        buckets[filled] = buckets[j]
         filled += key < limit
         skipped |= (key >= limit) & (key < NEVER)
     border = work.border

@@ -62,8 +62,8 @@ class Traits(NamedTuple):
 @njit(inline="always")
 def bucket_of(gain):
     """Return the bucket of a gain >= 0, which is weighted solid angle per byte."""
-    place = np.int64(np.float32(gain).view(np.int32) >> 18) - LEAST
-    return BUCKETS - 1 - min(max(place, 0), BUCKETS - 1)
+    place = (np.float32(gain).view(np.int32) >> np.int32(18)) - np.int32(LEAST)  # 32 bits, for SIMD lanes
+    return np.int32(BUCKETS - 1) - min(max(place, np.int32(0)), np.int32(BUCKETS - 1))
 
 
 @kernel(error_model="numpy")
