@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.abr._kernels import units as kernels
+from gsvis.abr._kernels.frusta import frusta_of
 from gsvis.abr.index import SceneIndex
 from gsvis.abr.predict import Pose
 from gsvis.abr.rings import RINGS
@@ -86,13 +87,10 @@ class FieldOfView:
 
     def frusta(self, poses: Sequence[Pose]) -> F32:
         """Return (F, 5, 4) float32, the planes of F poses; see `planes`."""
-        turned_back = np.array([_turned_back(*pose.quat.tolist()) for pose in poses]).reshape(-1, 3, 3)
-        eyes = np.array([pose.position for pose in poses]).reshape(-1, 3, 1)
-        normals = self._normals @ turned_back
+        quats = np.array([pose.quat for pose in poses]).reshape(-1, 4)
+        eyes = np.array([pose.position for pose in poses]).reshape(-1, 3)
         out = np.empty((len(poses), 5, 4), np.float32)
-        out[:, :, :3] = normals
-        out[:, :, 3] = -(normals @ eyes)[:, :, 0]
-        out[:, 4, 3] -= self.near
+        frusta_of(self._normals, quats, eyes, self.near, out)
         return out
 
     def planes(self, position: ArrayLike, quat: ArrayLike) -> F32:
@@ -163,12 +161,3 @@ def classify(index: SceneIndex, cell: int, planes: ArrayLike) -> Classes:
     classes[ids] = np.where(inside, FOV, PERIPHERAL)
     distances[ids] = 0.0
     return Classes(classes, distances)
-
-
-def _turned_back(w: float, x: float, y: float, z: float) -> tuple[float, ...]:
-    """Return the nine elements of the matrix from world to camera, row by row, of a unit quaternion wxyz."""
-    return (
-        *(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        *(2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-        *(2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
-    )
