@@ -402,7 +402,7 @@ def _find_strong_keys(units, ahead, table, work, count):
     strong = work.inside
     own = np.uint64(len(table) // 4)
     shape = table.shape
-    strongest = np.uint64(STRONG * shape[2])  # the first kind of strong terms
+    strongest = np.uint64(shape[2]) * np.uint64(min(shape[1] - 1, STRONG))  # the first kind of strong terms
     offsets = table.reshape(-1)
     strong[:] = 0
     for k in range(1, len(every)):
