@@ -26,7 +26,7 @@ FEWER_CELLS = 32  # most where sets hardly grow
 _EYES = 8  # eyes whose cells are compared
 _VIEWPOINTS = 4  # of each of these cells
 _SIZE = 128  # pixels along a side of the faces around a viewpoint
-_MUCH = 0.4  # share of a scene that an eye sees, mean, from which fewer cells are enough
+_MUCH = {"object": 0.4, "open place": 0.5}  # share of a scene that an eye sees, mean, from which fewer are enough
 _LARGER = 1.1  # size of the sets of fewer cells over that of four times as many, up to which fewer are enough
 
 
@@ -40,8 +40,9 @@ def fitting_cells(g: Gaussians, space: NavigableSpace, most: int, fewer: int) ->
         fewer: At least 1.
 
     Returns:
-        `fewer` around an object of which one eye sees at least 40%, or whose sets are at most a tenth larger than those
-        of four times as many cells; in an open place both must hold. Else `most`, as where `fewer` is not less.
+        `fewer` in an open place of which one eye sees at least half, and around an object of which it sees 40%, or
+        whose sets are at most a tenth larger than those of four times as many cells. Else `most`, as where `fewer` is
+        not less.
 
     Raises:
         ValueError: If a number is below 1.
@@ -49,15 +50,16 @@ def fitting_cells(g: Gaussians, space: NavigableSpace, most: int, fewer: int) ->
     _check.positive_int("most", most)
     _check.positive_int("fewer", fewer)
     kind = space.kind.kind
-    if kind not in ("object", "open place") or fewer >= most:
+    if kind not in _MUCH or fewer >= most:
         return most
     bright = np.count_nonzero(g.opacities >= MIN_ALPHA)
     if not bright:
         return most
     look = Look(g, "hybrid", _SIZE, TAU)
-    sees_much = _count_seen_by_one(look, space) >= _MUCH * bright
-    if sees_much == (kind == "object"):  # the other question decides nothing
-        return fewer if sees_much else most
+    if _count_seen_by_one(look, space) >= _MUCH[kind] * bright:
+        return fewer
+    if kind != "object":
+        return most
     eyes = _spread_eyes(space)
     counts = (4 * fewer, fewer)
     many, few = (_count_seen(look, CellGrid.over(space, max_cells=n), space, eyes) for n in counts)
