@@ -134,6 +134,17 @@ def test_the_stored_order_is_by_label_then_by_id(seed: int, n: int, most: int) -
     assert np.array_equal(_order.order_of(labels), np.argsort(labels, kind="stable"))
 
 
+@pytest.mark.parametrize(("words", "count"), [(1, 1), (1, 7), (2, 16), (3, 130)])
+def test_the_nearest_center_has_the_fewest_other_bits_and_the_lowest_number(words: int, count: int) -> None:
+    rng = np.random.default_rng(count)
+    centers = rng.integers(0, 1 << 63, (count, words), dtype=np.uint64)
+    centers[count // 2 :] = centers[: count - count // 2]  # equal ones
+    signatures = centers[rng.integers(0, count, 3000)] ^ rng.integers(0, 1 << 9, (3000, words), dtype=np.uint64)
+    other = np.ascontiguousarray(signatures[:, None] ^ centers[None])
+    apart = np.unpackbits(other.view(np.uint8), axis=2).sum(axis=2)
+    assert np.array_equal(_order._nearest_of(signatures, centers), apart.argmin(axis=1))
+
+
 def test_labels_bring_together_what_the_same_cells_see() -> None:
     n, sets = rooms(shuffled=True)
     labels = _order.choose_labels(n, len(sets), sets.__getitem__)
