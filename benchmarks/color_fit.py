@@ -89,9 +89,9 @@ def main() -> None:
 
     refined, atoms = found["refined"], found["atoms"]
     figures = [
-        figure("fit of 1M Gaussians, masked, two functions, 4 terms, refined", 300.0, refined["seconds"], "s"),
+        figure("fit of 1M Gaussians, masked, two functions, 4 terms, refined", 120.0, refined["seconds"], "s"),
         figure("peak memory of that fit, scene and result included", 8.0, refined["peak_gb"], "GB"),
-        figure("the same on the atoms of orthogonal matching pursuit", 300.0, atoms["seconds"], "s"),
+        figure("the same on the atoms of orthogonal matching pursuit", 120.0, atoms["seconds"], "s"),
         figure("squared error left by refined terms over that of atoms", None, refined["error"] / atoms["error"], "x"),
     ]
     write_result(
