@@ -135,7 +135,7 @@ WINS = Section(
             ),
             ours="{0:.0f} times; {1:.0f} s",
             peer="scikit-learn: 1",
-            target="≥ 50; ≤ 300 s",
+            target="≥ 50; ≤ 120 s",
             page="color",
         ),
         Row(
