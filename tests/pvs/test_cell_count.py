@@ -44,9 +44,9 @@ def test_an_open_place_that_hides_most_of_itself_keeps_all_cells() -> None:
     assert fitting_cells(ball(0.99, 5000), space_around(PLACE), 256, 64) == 256
 
 
-@pytest.mark.parametrize("kind", ["rooms", "given"])
-def test_other_spaces_keep_all_cells(kind: str) -> None:
-    assert fitting_cells(ball(0.05), space_around(SpaceKind(kind, "made for a test")), 256, 64) == 256  # type: ignore[arg-type]
+@pytest.mark.parametrize("kind", [SpaceKind("rooms", "made for a test"), SpaceKind("given", "made for a test")])
+def test_other_spaces_keep_all_cells(kind: SpaceKind) -> None:
+    assert fitting_cells(ball(0.05), space_around(kind), 256, 64) == 256
 
 
 def test_few_cells_stay_and_none_is_refused() -> None:

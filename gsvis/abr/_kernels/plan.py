@@ -249,14 +249,20 @@ def _test_gaussians(words, places, bodies, planes, sides, border, inside):
         inside[s] = bits
 
 
+@njit(inline="always")
+def _unsigned(index):
+    """Return an int32 index >= 0 as numba takes it without a test of its sign, which would keep loops from vectors."""
+    return np.uint64(np.uint32(index))
+
+
 @inner(error_model="numpy")
 def _gather(words, allowed, owed, gaussians, gone, free, due):
     """Set `free` (S,) to Gaussians neither held nor gone, and `due` (S,) to those that owe terms and are not gone."""
     for s in range(len(words)):
-        w = np.uint64(np.uint32(words[s]))
+        w = _unsigned(words[s])
         free[s] = allowed[s] & ~(gaussians[w] | gone[w])
     for s in range(len(owed)):
-        due[s] = allowed[s] & owed[s] & ~gone[np.uint64(np.uint32(words[s]))]
+        due[s] = allowed[s] & owed[s] & ~gone[_unsigned(words[s])]
 
 
 @inner(error_model="numpy")
@@ -292,7 +298,7 @@ def _list_left(slots, masks, rest, out):
     count = 0
     for u in range(len(slots)):
         out[count] = u
-        count += (masks[u] & rest[np.uint64(np.uint32(slots[u]))]) != 0
+        count += (masks[u] & rest[_unsigned(slots[u])]) != 0
     return count
 
 
@@ -376,8 +382,8 @@ def _find_keys(units, ahead, table, work, count):
     parts = np.uint64(shape[2])
     offsets = table.reshape(-1)
     for j in range(count):  # without branches and signed indices, so that it runs in SIMD lanes
-        u = np.uint64(np.uint32(chosen[j]))
-        s = np.uint64(np.uint32(slots[u]))
+        u = _unsigned(chosen[j])
+        s = _unsigned(slots[u])
         code = np.uint64(codes[u])
         mask = masks[u]
         is_near = sides[s] != 0 if code < own else (mask & ahead[s]) != 0
@@ -409,8 +415,8 @@ def _find_strong_keys(units, ahead, table, work, count):
         for s in range(len(strong)):
             strong[s] |= every[k, s]
     for j in range(count):
-        u = np.uint64(np.uint32(chosen[j]))
-        s = np.uint64(np.uint32(slots[u]))
+        u = _unsigned(chosen[j])
+        s = _unsigned(slots[u])
         code = np.uint64(codes[u])
         mask = masks[u]
         is_near = sides[s] != 0 if code < own else (mask & ahead[s]) != 0

@@ -11,7 +11,7 @@ from gsvis._kernels.compiled import kernel, njit
 from gsvis._kernels.faces import face_of
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.threads import in_parts, in_threads
-from gsvis.raycast._kernels.trace import find_room, weight_of
+from gsvis.raycast._kernels.trace import make_room, weight_of
 
 
 @in_parts(lambda directions, *_: len(directions))
@@ -96,7 +96,7 @@ def trace_outward(begin, end, table, boxes, children, targets, rays, free, origi
         g = targets[i]
         if g < 0:
             continue
-        room = find_room()
+        room = make_room()
         eye = np.empty(3, np.float64)
         mean = table[g, :3]
         for f in range(rays.shape[0]):
@@ -115,7 +115,7 @@ def trace_outward(begin, end, table, boxes, children, targets, rays, free, origi
 def see_from_space(taken, table, boxes, children, targets, rays, free, origin, size, limits, tau, seen):
     """Write into seen (M,) whether an eye in a free voxel sees targets (M,) along one of rays (R, 3), tried in turn."""
     blocks = (len(targets) + 63) // 64
-    room = find_room()
+    room = make_room()
     eye = np.empty(3, np.float64)
     block = take_next(taken)
     while block < blocks:

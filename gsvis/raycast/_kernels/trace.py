@@ -33,7 +33,7 @@ TINY = 1e-300
 
 
 class Room(NamedTuple):
-    """Room for what waits while a ray traverses the hierarchy; see `find_room`.
+    """Room for what waits while a ray traverses the hierarchy; see `make_room`.
 
     Attributes:
         waiting: (STACK + WAITING,) int64, nodes, then a ring of Gaussians.
@@ -51,8 +51,8 @@ class Room(NamedTuple):
 
 
 @inner
-def find_room():
-    """Return room for one ray at a time."""
+def make_room():
+    """Return a new room, for one ray at a time."""
     return Room(
         np.empty(STACK + WAITING, np.int64),
         np.empty(STACK, np.float64),
@@ -336,7 +336,7 @@ def weight_of(table, boxes, children, ray_o, ray_d, target, limits, floor, room)
 def weights_of(begin, end, table, boxes, children, rays_o, rays_d, targets, limits, floor, out):
     """Write the weight of targets[r] on ray r into out (R,)."""
     for block in range(begin, end):
-        room = find_room()
+        room = make_room()
         for r in range(256 * block, min(len(rays_o), 256 * block + 256)):
             out[r] = weight_of(
                 table,
@@ -374,7 +374,7 @@ def trace_rays(
         ids = np.empty(512, np.int64)
         alphas = np.empty(512, np.float64)
         depths = np.empty(512, np.float32)
-        room = find_room()
+        room = make_room()
         for r in range(64 * block, min(len(rays_o), 64 * block + 64)):
             count, ids, alphas, depths = trace_ray(
                 table,
@@ -461,7 +461,7 @@ def _raise_row(row, table, boxes, children, rays_o, rays_d, limits, taken, out):
     ids = np.empty(512, np.int64)
     alphas = np.empty(512, np.float64)
     depths = np.empty(512, np.float32)
-    room = find_room()
+    room = make_room()
     first = 64 * take_next(taken)
     while first < len(rays_o):
         for r in range(first, min(len(rays_o), first + 64)):
