@@ -272,11 +272,11 @@ SECTIONS = (
                     "prepare: guitar: prepare",
                     "prepare: flowers LOD 3: prepare",
                 ),
-                ours="showroom {0:.0f} s, nika 300k {1:.0f}; flowers 93k {2:.0f}, guitar {3:.0f} (129 since it has"
-                " a first picture; others not timed since), flowers 27k {4:.0f}",
+                ours="showroom {0:.0f} s, nika 300k {1:.0f}; flowers 93k {2:.0f}, guitar {3:.0f}, flowers"
+                " 27k {4:.0f} (flowers on 30 November)",
                 peer="before: showroom 67 minutes",
-                target="≤ 720, 600; 120, 120, 60 s (the last on 4 cores)",
-                verdict="missed",
+                target="≤ 240, 150; 120, 120, 60 s (the last on 4 cores)",
+                verdict="reached",
             ),
         ),
     ),
