@@ -276,7 +276,6 @@ SECTIONS = (
                 " 27k {4:.0f} (flowers on 30 November)",
                 peer="before: showroom 67 minutes",
                 target="≤ 240, 150; 120, 120, 60 s (the last on 4 cores)",
-                verdict="reached",
             ),
         ),
     ),
