@@ -30,6 +30,7 @@ from chosen_eyes import Moved, move
 from numpy.typing import NDArray
 
 from gsvis.cli.options import Where
+from gsvis.cli.pvs import CELLS, FEWER_CELLS
 from gsvis.cli.where import find_place
 from gsvis.io import save_scene
 from gsvis.io.sources import load_source
@@ -49,7 +50,6 @@ F64 = NDArray[np.float64]
 QUESTION = "What does a person at an eye that they chose see of the set of their cell, at the size of a display?"
 LEAST = 40.0  # dB
 MOST = 100.0  # dB, of equal images
-CELLS = 512  # of `gsvis pvs`
 SMALL, LARGE, FOV = (480, 270), (1920, 1080), 75.0
 NEAR, ANYWHERE = 3, 4  # directions within 30 degrees of the target, and around the eye
 CORNER = 0.01  # voxels from a corner to its eye
@@ -118,7 +118,7 @@ def judge(chosen: Chosen, source: Source, options: argparse.Namespace) -> dict[s
     rng = np.random.default_rng([options.seed, 42])
     g = source.gaussians
     space = find_place(source, Where()).required("")
-    grid = CellGrid.over(space, max_cells=fitting_cells(g, space, CELLS))
+    grid = CellGrid.over(space, max_cells=fitting_cells(g, space, CELLS, FEWER_CELLS))
     drawn = draw_eyes(grid.cell_at(chosen.eyes), options.eyes, rng)
     row: dict[str, Any] = {"gaussians": len(g), "kind": space.kind.kind, "cells": len(grid)}
     row["eyes_in_cells"] = round(float(np.mean(grid.cell_at(chosen.eyes) >= 0)), 3)

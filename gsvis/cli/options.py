@@ -161,7 +161,7 @@ class Cluster(Work):
 class Sets:
     """How visible sets are found: `gsvis.pvs.config.PvsConfig`."""
 
-    cells: Annotated[int | None, readers.CELLS, hint("128, or 32 where sets hardly grow then")] = None
+    cells: Annotated[int | None, readers.CELLS, hint("128, or 32 to 64 where sets hardly grow then")] = None
     """Largest number of cells. They are as small as it allows."""
     cell_size: Annotated[Units, hint("the smallest that --cells allows")] = None
     """Side of a cell, scene units."""

@@ -39,13 +39,22 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.source import Source
 
-__all__ = ["MEMORY", "check_workers", "local_workers", "open_workers", "run_pvs", "spell_certificates"]
+__all__ = [
+    "CELLS",
+    "FEWER_CELLS",
+    "MEMORY",
+    "check_workers",
+    "local_workers",
+    "open_workers",
+    "run_pvs",
+    "spell_certificates",
+]
 
 MEMORY = {"max_memory": f"--max-memory; {IN_TILES}"}
 """The option of a memory limit that a scene does not fit."""
 
-_CELLS = 512
-_FEWER_CELLS = 128  # where sets hardly grow
+CELLS = 512  # most cells, unless somebody asks for another number
+FEWER_CELLS = {"object": 128, "open place": 128}  # where sets hardly grow
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +157,7 @@ def _plan(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status
     size = command.sets.cell_size
     most = command.sets.cells
     if size is None:
-        grid = CellGrid.over(space, max_cells=most or fitting_cells(source.gaussians, space, _CELLS, _FEWER_CELLS))
+        grid = CellGrid.over(space, max_cells=most or fitting_cells(source.gaussians, space, CELLS, FEWER_CELLS))
     else:
         grid = CellGrid.over(space, max_cells=most or MAX_CELLS, cell_size=size)
     return _Plan(source, grid, space, config, remarks, settled.written)

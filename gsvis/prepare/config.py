@@ -35,8 +35,8 @@ class PrepareConfig:
         level_held_out: Number of further cameras that measure levels; 0 for none. With photos, every eighth photo is
             held out instead.
         level_size: Size (width, height) in pixels to shrink photos to; None keeps their size.
-        cells: Most cells. Cells are as small as this limit allows. None is 128, or 32 around an object or outdoors
-            where visible sets hardly grow then; see `fitting_cells`.
+        cells: Most cells. Cells are as small as this limit allows. None is 128, or 32 around an object and 64
+            outdoors where visible sets hardly grow then; see `fitting_cells`.
         cell_size: Side of a cell, scene units; replaces `cells`. None uses `cells`.
         join_cells: Whether cells are joined until the visible sets are about a fifth of the package.
         sets: Options of the visible sets.

@@ -6,6 +6,8 @@ nearly the same, so that a quarter of the cells have sets that are hardly larger
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,7 +23,7 @@ from gsvis.scene.navigable import NavigableSpace
 __all__ = ["FEWER_CELLS", "MOST_CELLS", "fitting_cells"]
 
 MOST_CELLS = 128  # most cells of a package, unless somebody asks for another number
-FEWER_CELLS = 32  # most where sets hardly grow
+FEWER_CELLS = {"object": 32, "open place": 64}  # most by kind of space, where sets hardly grow
 
 _EYES = 8  # eyes whose cells are compared
 _VIEWPOINTS = 4  # of each of these cells
@@ -30,40 +32,43 @@ _MUCH = {"object": 0.4, "open place": 0.5}  # share of a scene that an eye sees,
 _LARGER = 1.1  # size of the sets of fewer cells over that of four times as many, up to which fewer are enough
 
 
-def fitting_cells(g: Gaussians, space: NavigableSpace, most: int, fewer: int) -> int:
-    """Return the number of cells for a space: `most`, or `fewer` where more would hardly make sets smaller.
+def fitting_cells(g: Gaussians, space: NavigableSpace, most: int, fewer: Mapping[str, int]) -> int:
+    """Return the number of cells for a space: `most`, or fewer where more would hardly make sets smaller.
 
     Args:
         g: The scene, N Gaussians.
         space: Its navigable space. Rooms and spaces that were given keep all cells.
         most: Most cells, at least 1.
-        fewer: At least 1.
+        fewer: Fewer cells for "object" and for "open place", each at least 1.
 
     Returns:
-        `fewer` in an open place of which one eye sees at least half, and around an object of which it sees 40%, or
-        whose sets are at most a tenth larger than those of four times as many cells. Else `most`, as where `fewer` is
+        Fewer in an open place of which one eye sees at least half, and around an object of which it sees 40%, or
+        whose sets are at most a tenth larger than those of four times as many cells. Else `most`, as where fewer are
         not less.
 
     Raises:
         ValueError: If a number is below 1.
     """
     _check.positive_int("most", most)
-    _check.positive_int("fewer", fewer)
+    for each, count in fewer.items():
+        _check.positive_int(f"fewer, {each}", count)
     kind = space.kind.kind
-    if kind not in _MUCH or fewer >= most:
+    few = fewer.get(kind, most)
+    if few >= most:
         return most
     bright = np.count_nonzero(g.opacities >= MIN_ALPHA)
     if not bright:
         return most
     look = Look(g, "hybrid", _SIZE, TAU)
     if _count_seen_by_one(look, space) >= _MUCH[kind] * bright:
-        return fewer
+        return few
     if kind != "object":
         return most
     eyes = _spread_eyes(space)
-    counts = (4 * fewer, fewer)
-    many, few = (_count_seen(look, CellGrid.over(space, max_cells=n), space, eyes) for n in counts)
-    return fewer if few <= _LARGER * many else most
+    in_small, in_large = (
+        _count_seen(look, CellGrid.over(space, max_cells=cells), space, eyes) for cells in (4 * few, few)
+    )
+    return few if in_large <= _LARGER * in_small else most
 
 
 def _count_seen_by_one(look: Look, space: NavigableSpace) -> float:

@@ -14,6 +14,7 @@ from gsvis.scene.navigable import NavigableSpace
 
 OBJECT = SpaceKind("object", "made for a test")
 PLACE = SpaceKind("open place", "made for a test")
+FEWER = {"object": 64, "open place": 80}
 
 
 def space_around(kind: SpaceKind) -> NavigableSpace:
@@ -29,33 +30,33 @@ def ball(opacity: float, count: int = 600) -> Gaussians:
 
 @pytest.mark.parametrize(("most", "fewer"), [(4, 1), (128, 64), (512, 128)])
 def test_an_object_that_is_seen_through_has_fewer_cells(most: int, fewer: int) -> None:
-    assert fitting_cells(ball(0.05), space_around(OBJECT), most, fewer) == fewer
+    assert fitting_cells(ball(0.05), space_around(OBJECT), most, {"object": fewer}) == fewer
 
 
 def test_an_object_that_hides_most_of_itself_keeps_all_cells() -> None:
-    assert fitting_cells(ball(0.99, 5000), space_around(OBJECT), 256, 64) == 256
+    assert fitting_cells(ball(0.99, 5000), space_around(OBJECT), 256, FEWER) == 256
 
 
 def test_an_open_place_that_is_seen_through_has_fewer_cells() -> None:
-    assert fitting_cells(ball(0.05), space_around(PLACE), 256, 64) == 64
+    assert fitting_cells(ball(0.05), space_around(PLACE), 256, FEWER) == 80
 
 
 def test_an_open_place_that_hides_most_of_itself_keeps_all_cells() -> None:
-    assert fitting_cells(ball(0.99, 5000), space_around(PLACE), 256, 64) == 256
+    assert fitting_cells(ball(0.99, 5000), space_around(PLACE), 256, FEWER) == 256
 
 
 @pytest.mark.parametrize("kind", [SpaceKind("rooms", "made for a test"), SpaceKind("given", "made for a test")])
 def test_other_spaces_keep_all_cells(kind: SpaceKind) -> None:
-    assert fitting_cells(ball(0.05), space_around(kind), 256, 64) == 256
+    assert fitting_cells(ball(0.05), space_around(kind), 256, FEWER) == 256
 
 
 def test_few_cells_stay_and_none_is_refused() -> None:
-    assert fitting_cells(ball(0.05), space_around(OBJECT), 3, 64) == 3
+    assert fitting_cells(ball(0.05), space_around(OBJECT), 3, FEWER) == 3
     with pytest.raises(ValueError, match="most"):
-        fitting_cells(ball(0.05), space_around(OBJECT), 0, 64)
-    with pytest.raises(ValueError, match="fewer"):
-        fitting_cells(ball(0.05), space_around(OBJECT), 3, 0)
+        fitting_cells(ball(0.05), space_around(OBJECT), 0, FEWER)
+    with pytest.raises(ValueError, match="fewer, object"):
+        fitting_cells(ball(0.05), space_around(OBJECT), 3, {"object": 0})
 
 
 def test_a_scene_of_nothing_has_all_cells() -> None:
-    assert fitting_cells(ball(0.001), space_around(OBJECT), 256, 64) == 256
+    assert fitting_cells(ball(0.001), space_around(OBJECT), 256, FEWER) == 256
