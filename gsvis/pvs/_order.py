@@ -13,8 +13,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis._kernels.bits import count
 from gsvis.pvs import codec as _codec
 from gsvis.pvs._kernels import store as kernels
+from gsvis.pvs.completed import Completion
 
 __all__ = ["KEY_CELLS", "MAX_DEPTH", "choose_labels", "key_cells", "order_of", "parents_in_groups", "parents_of"]
 
@@ -27,6 +29,7 @@ _SIDES = (16, 64, 128)  # square roots of the numbers of labels to try
 _SAMPLE = 131_072  # most signatures used to find centers
 _ROUNDS = 8
 _TRIAL_CELLS = 12
+_ADDED_A_BYTE = 8  # Gaussians by which sets are completed that weigh as much as a byte of the file
 
 U16 = NDArray[np.uint16]
 U64 = NDArray[np.uint64]
@@ -45,13 +48,14 @@ def order_of(labels: U16) -> NDArray[np.int32]:
     return order
 
 
-def choose_labels(n: int, cells: int, read: Callable[[int], U64]) -> U16:
+def choose_labels(n: int, cells: int, read: Callable[[int], U64], *, completed: bool = False) -> U16:
     """Return the labels that give the smallest file, estimated from some of the cells.
 
     Args:
         n: N Gaussians.
         cells: C.
         read: Returns the set of a cell in scene order, as packed words.
+        completed: Whether sets will be completed by these labels.
 
     Returns:
         (N,) uint16; all 0 if no order beats scene order.
@@ -61,10 +65,14 @@ def choose_labels(n: int, cells: int, read: Callable[[int], U64]) -> U16:
     for bit, cell in enumerate(keys.tolist()):
         kernels.add_signature(read(cell), bit, signatures)
     trials = [read(cell) for cell in keys[:: -(-len(keys) // _TRIAL_CELLS)].tolist()]
+    ever = _codec.pack(np.flatnonzero(signatures.any(axis=1)), n)
     best = np.zeros(n, np.uint16)
     least = np.inf
     for labels in _candidates(signatures):
-        size = len(_codec.encode_labels(labels)) + cells / len(trials) * _trial_size(trials, labels)
+        sets = list(map(Completion(labels, ever), trials)) if completed else trials
+        added = sum(count(full) - count(words) for full, words in zip(sets, trials, strict=True))
+        size = len(_codec.encode_labels(labels))
+        size += cells / len(trials) * (_trial_size(sets, labels) + added / _ADDED_A_BYTE)
         if size < least:
             best = labels
             least = size

@@ -206,7 +206,12 @@ class StoreWriter:
         self._places.append((start, len(packed[0]), len(packed[1])))
 
     def finish(
-        self, direction_sets: ArrayLike, *, groups: ArrayLike | None = None, progress: Progress = silent
+        self,
+        direction_sets: ArrayLike,
+        *,
+        groups: ArrayLike | None = None,
+        labels: NDArray[np.uint16] | None = None,
+        progress: Progress = silent,
     ) -> Path:
         """Encode all cells and write the file.
 
@@ -214,6 +219,7 @@ class StoreWriter:
             direction_sets: (N, 10) uint8.
             groups: (C,) the group of each cell, from 0: cells of a group give a Gaussian the same class. None for no
                 groups. They make the file smaller, and change nothing else.
+            labels: (N,) uint16 of the stored order, which sorts Gaussians by label, then by id. None chooses them.
             progress: Called with stage "store".
 
         Returns:
@@ -230,7 +236,9 @@ class StoreWriter:
         if len(self) != len(self.grid):
             raise ValueError(f"cells: expected {len(self.grid)}, got {len(self)}; add_cell the others first")
         progress("store", 0, len(self))
-        labels = _order.choose_labels(self.info.gaussians, len(self), self._set)
+        if labels is None:
+            labels = _order.choose_labels(self.info.gaussians, len(self), self._set)
+        _check.same_length(labels=labels, direction_sets=sets)
         if groups is None:
             self._rows["parent"] = _order.parents_of(self._count_shared(), len(self))
         else:

@@ -1,12 +1,11 @@
-"""Make the store that a package gets: cells joined on request, weight classes and direction sets shared by neighbors.
+"""Make the store that a package gets: cells joined on request, sets completed, classes and directions shared.
 
 Small cells have small sets, so a walk needs fewer Gaussians; but there are more of them, and what neighbors see is
 nearly the same. On request cells are joined to cubes of F x F x F cells, with the least F for which the sets are at
 most a fifth of the package. A joined cell sees what any of its cells sees, so nothing is lost.
 
 Direction sets are half of a store, and the sender does not read them. Runs of neighbors in the order of the package
-share the union of theirs. Weight classes are the next part. They only say what is sent first, and a Gaussian has nearly
-the same one in neighboring cells, so cubes of cells share their mean.
+share the union of theirs. `shipped.py` makes sets and weight classes small.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ from gsvis.files.temporary import temporary_folder
 from gsvis.progress import Progress, silent
 from gsvis.pvs._writer import share_directions
 from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.shipped import CLASSES_SIDE, write_shipped
 from gsvis.pvs.store import CellSet, StoreInfo, StoreWriter, VisibilityStore
 
 __all__ = [
-    "CLASSES_SIDE",
     "DIRECTIONS_RUN",
     "MOST_SHARE",
     "RECORD_BYTES",
@@ -36,7 +35,6 @@ __all__ = [
     "join_cells",
     "join_until_small",
     "measure_sets",
-    "share_classes",
     "walks_through",
 ]
 
@@ -49,9 +47,6 @@ MOST_SHARE = 0.25
 DIRECTIONS_RUN = 16
 """Neighbors that share a direction set in a package."""
 
-CLASSES_SIDE = 2
-"""Cells along the side of the cubes that share weight classes in a package; cells of the grid as it was built."""
-
 WALK_CELLS = 10
 """Cells of the finest grid that a walk passes."""
 
@@ -60,7 +55,6 @@ _STEPS = 40  # most steps of a walk, which may be shut in by few cells
 _SEED = 0
 
 I64 = NDArray[np.int64]
-U8 = NDArray[np.uint8]
 Words = NDArray[np.uint64]
 
 
@@ -96,7 +90,7 @@ class JoinedCells:
 def join_until_small(
     store: VisibilityStore, target: str | PathLike[str], *, may_join: bool = True, progress: Progress = silent
 ) -> tuple[JoinedCells, ...]:
-    """Write the store of a package: cells joined if that is asked for, weight classes and direction sets shared.
+    """Write the store of a package: cells joined if that is asked for, sets completed, classes and directions shared.
 
     Args:
         store: Sets as they were built.
@@ -112,6 +106,7 @@ def join_until_small(
     """
     path = _check.path("target", target)
     walks = walks_through(store.grid)
+    of = tuple(range(len(store)))
     tried = [measure_sets(store)]
     ever = tried[0].ever
     most = MOST_SHARE * RECORD_BYTES * store.gaussians
@@ -125,14 +120,12 @@ def join_until_small(
             of = join_cells(store, written, factor)
             with VisibilityStore.open(written) as joined:
                 tried.append(JoinedCells(factor, len(joined), _bytes_of(joined), _walk(joined, walks, of), ever))
-        side = CLASSES_SIDE // tried[-1].factor
-        if side > 1:
-            shared = folder / "classes.pvs"
-            share_classes(store, shared, side)
-            with VisibilityStore.open(shared) as found:
-                tried[-1] = replace(tried[-1], nbytes=_bytes_of(found))
-            written = shared
-        share_directions(written, path, DIRECTIONS_RUN)
+        small = folder / "small.pvs"
+        with VisibilityStore.open(written) as joined:
+            write_shipped(joined, small, max(1, CLASSES_SIDE // tried[-1].factor))
+        with VisibilityStore.open(small) as found:
+            tried[-1] = replace(tried[-1], nbytes=_bytes_of(found), walk=_walk(found, walks, of))
+        share_directions(small, path, DIRECTIONS_RUN)
     progress("join", 1, 1)
     return tuple(tried)
 
@@ -167,46 +160,6 @@ def join_cells(store: VisibilityStore, target: str | PathLike[str], factor: int)
             writer.add_cell(_join(store, np.flatnonzero(of == cell)))
         writer.finish(store.direction_sets)
     return tuple(of.tolist())
-
-
-def share_classes(store: VisibilityStore, target: str | PathLike[str], side: int) -> None:
-    """Write a store in which the cells of a cube give a Gaussian the same weight class: the mean of theirs, rounded.
-
-    Classes are logarithms of weights, so this is the geometric mean of the weights in the cells that see it.
-
-    Args:
-        store: C cells.
-        target: The file to write.
-        side: Cells along the side of a cube, at least 1.
-    """
-    _check.positive_int("side", side)
-    _, of = np.unique(store.grid.coords // side, axis=0, return_inverse=True)
-    of = of.reshape(-1)
-    made = store.certificates
-    counts = store.viewpoints
-    known: dict[int, U8] = {}
-    last = {int(cube): cell for cell, cube in enumerate(of)}  # the last cell of each cube
-    with StoreWriter(target, store.grid, store.info) as writer:
-        for cell in range(len(store)):
-            cube = int(of[cell])
-            if cube not in known:
-                known[cube] = _mean_classes(store, np.flatnonzero(of == cube))
-            ids = store.visible_ids(cell)
-            writer.add_cell(
-                CellSet(
-                    ids,
-                    known[cube][ids],
-                    int(counts[cell]),
-                    int(made.inner[cell]),
-                    int(made.rays[cell]),
-                    float(made.missed[cell]),
-                    float(made.bound[cell]),
-                    float(made.tile[cell]),
-                )
-            )
-            if last[cube] == cell:
-                del known[cube]
-        writer.finish(store.direction_sets, groups=of)
 
 
 def walks_through(grid: CellGrid) -> tuple[tuple[int, ...], ...]:
@@ -260,18 +213,6 @@ def _join(store: VisibilityStore, cells: I64) -> CellSet:
         float(made.bound[cells].max()),
         float(made.tile[cells].max()),
     )
-
-
-def _mean_classes(store: VisibilityStore, cells: I64) -> U8:
-    """Return (N,) the mean weight class of each Gaussian over those of some cells that see it, rounded; 0 for none."""
-    sums = np.zeros(store.gaussians, np.uint32)
-    seen = np.zeros(store.gaussians, np.uint32)
-    for cell in cells.tolist():
-        ids, classes = store.classes(cell)
-        sums[ids] += classes
-        seen[ids] += 1
-    seen = np.maximum(seen, 1)
-    return ((2 * sums + seen) // (2 * seen)).astype(np.uint8)
 
 
 def _walk(store: VisibilityStore, walks: tuple[tuple[int, ...], ...], of: tuple[int, ...]) -> float:

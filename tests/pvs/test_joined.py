@@ -17,7 +17,6 @@ from gsvis.pvs.joined import (
     join_cells,
     join_until_small,
     measure_sets,
-    share_classes,
     walks_through,
 )
 from gsvis.pvs.store import VisibilityStore
@@ -73,36 +72,6 @@ def test_neighbors_share_the_union_of_their_directions(tmp_path: Path, run: int)
                 assert (shared.direction_sets[start : start + run] == union).all()
             for cell in range(len(own)):
                 assert np.array_equal(shared.visible_ids(cell), own.visible_ids(cell))
-
-
-@pytest.mark.parametrize("side", [1, 2, 3])
-def test_cubes_of_cells_share_the_mean_of_their_classes(tmp_path: Path, side: int) -> None:
-    with noise_store(tmp_path / "own.pvs") as own:
-        share_classes(own, tmp_path / "shared.pvs", side)
-        with VisibilityStore.open(tmp_path / "shared.pvs") as shared:
-            shared.verify()
-            assert (shared.direction_sets == own.direction_sets).all()
-            assert np.array_equal(shared.certificates.bound, own.certificates.bound)
-            assert np.array_equal(shared.viewpoints, own.viewpoints)
-            cubes = [tuple(row) for row in (own.grid.coords // side).tolist()]
-            for cell, cube in enumerate(cubes):
-                given: dict[int, list[int]] = {}
-                for other in (k for k, each in enumerate(cubes) if each == cube):
-                    for gaussian, number in zip(*own.classes(other), strict=True):
-                        given.setdefault(int(gaussian), []).append(int(number))
-                ids, classes = shared.classes(cell)
-                assert np.array_equal(ids, own.visible_ids(cell))
-                assert classes.tolist() == [int(np.mean(given[int(i)]) + 0.5) for i in ids]
-
-
-def test_shared_classes_are_read_from_a_cell_of_the_same_cube(tmp_path: Path) -> None:
-    with noise_store(tmp_path / "own.pvs", 6) as own:
-        share_classes(own, tmp_path / "shared.pvs", 2)
-        with VisibilityStore.open(tmp_path / "shared.pvs") as shared:
-            cubes = shared.grid.coords // 2
-            parents = shared._rows["parent"].astype(np.int64)
-            apart = (cubes != cubes[parents]).any(axis=1) | (parents < 0)
-            assert apart.sum() == len(np.unique(cubes, axis=0))  # one of each cube, its head
 
 
 def test_cells_are_joined_until_sets_are_a_fifth_and_no_longer(tmp_path: Path) -> None:

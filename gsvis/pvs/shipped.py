@@ -1,0 +1,97 @@
+"""Make the sets that a package ships from those that were built: less to say, and nothing that is seen is left out.
+
+Sets are completed by label. Weight classes only say what is sent first, and a Gaussian has nearly the same one in
+neighboring cells, so cubes of cells share their mean. Where a cell sees most of a scene, all cells share theirs where a
+cube's is next to it, and neither is the highest (docs/design/129, 161).
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.pvs import _order, codec
+from gsvis.pvs.completed import Completion
+from gsvis.pvs.store import CellSet, StoreWriter, VisibilityStore
+
+__all__ = ["CLASSES_SIDE", "write_shipped"]
+
+CLASSES_SIDE = 2
+"""Cells along the side of the cubes that share weight classes in a package; cells of the grid as it was built."""
+
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+
+_MOST = 0.5  # mean share of the Gaussians that a cell sees from which all cells share classes
+
+
+def write_shipped(store: VisibilityStore, target: str | PathLike[str], side: int = CLASSES_SIDE) -> None:
+    """Write a store with completed sets, in which the cells of a cube give a Gaussian the same weight class.
+
+    Args:
+        store: C cells.
+        target: The file to write.
+        side: Cells along the side of a cube, at least 1.
+    """
+    coords = store.grid.coords // _check.positive_int("side", side)
+    cubes = np.unique(coords, axis=0, return_inverse=True)[1].reshape(-1)
+    typical, seen = _mean_classes(store, np.arange(len(store)))
+    labels = _order.choose_labels(store.gaussians, len(store), store.visible_words, completed=True)
+    complete = Completion(labels, codec.pack(np.flatnonzero(seen), store.gaussians))
+    highest = len(store.info.class_edges) - 1
+    shares = store.visible_counts.sum() >= _MOST * len(store) * np.count_nonzero(seen)
+    known: dict[int, U8] = {}
+    last = {int(cube): cell for cell, cube in enumerate(cubes)}  # the last cell of each cube
+    with StoreWriter(target, store.grid, store.info) as writer:
+        for cell in range(len(store)):
+            cube = int(cubes[cell])
+            if cube not in known:
+                own, kept = _mean_classes(store, np.flatnonzero(cubes == cube))
+                if shares:
+                    kept &= _far(own, typical, highest)
+                known[cube] = np.where(kept, own, typical)
+            ids = codec.ids_of(complete(store.visible_words(cell)))
+            writer.add_cell(_copy_cell(store, cell, ids, known[cube][ids]))
+            if last[cube] == cell:
+                del known[cube]
+        writer.finish(store.direction_sets, groups=cubes, labels=labels)
+
+
+def _far(own: U8, typical: U8, highest: int) -> NDArray[np.bool_]:
+    """Return (N,) whether a class of a cube differs by more than one from that of all cells, or one is the highest."""
+    larger = np.maximum(own, typical)
+    smaller = np.minimum(own, typical)
+    return np.asarray((larger - smaller > 1) | ((larger == highest) & (smaller < highest)))
+
+
+def _mean_classes(store: VisibilityStore, cells: I64) -> tuple[U8, NDArray[np.bool_]]:
+    """Return (N,) the mean class of each Gaussian over those of some cells that see it, rounded, and if any does.
+
+    Classes are logarithms of weights, so this is the geometric mean of the weights. It is 0 where no cell sees it.
+    """
+    sums = np.zeros(store.gaussians, np.uint32)
+    counts = np.zeros(store.gaussians, np.uint32)
+    for cell in cells.tolist():
+        ids, classes = store.classes(cell)
+        sums[ids] += classes
+        counts[ids] += 1
+    mean = (2 * sums + counts) // np.maximum(2 * counts, 1)
+    return mean.astype(np.uint8), counts > 0
+
+
+def _copy_cell(store: VisibilityStore, cell: int, ids: I64, classes: U8) -> CellSet:
+    """Return a cell with another set. What it misses is at most what it missed."""
+    made = store.certificates
+    return CellSet(
+        ids,
+        classes,
+        int(store.viewpoints[cell]),
+        int(made.inner[cell]),
+        int(made.rays[cell]),
+        float(made.missed[cell]),
+        float(made.bound[cell]),
+        float(made.tile[cell]),
+    )
