@@ -48,7 +48,7 @@ _clock = time.perf_counter  # tests set another
 
 _CODED = 1 << 15  # Gaussians that are coded for the size of records
 _PACKED_TERM = 0.78  # size of coded terms over their raw size
-_SHIPPED_SETS = 0.4  # of the bytes of sets but directions, completed and with shared classes: 0.2 to 0.5 in four scenes
+_SHIPPED_SETS = 0.5  # of the bytes of sets but directions, completed with shared classes: 0.3 to 0.7 in eight scenes
 _SHARED_DIRECTIONS = 0.25  # bytes a Gaussian of direction sets that neighbors share: 0.1 to 0.3 in six scenes
 _FILES = 10_000  # bytes of a package besides records, terms and sets
 _ROUNDING = 20.0  # time of choosing how to round records over that of the views that measure the cost of rounding

@@ -1,8 +1,7 @@
 """Make the sets that a package ships from those that were built: less to say, and nothing that is seen is left out.
 
 Sets are completed by label. Weight classes only say what is sent first, and a Gaussian has nearly the same one in
-neighboring cells, so cubes of cells share their mean. Where a cell sees most of a scene, all cells share theirs where a
-cube's is next to it, and neither is the highest (docs/design/129, 161).
+neighboring cells, so cubes of cells share their mean (docs/design/129, 161).
 """
 
 from __future__ import annotations
@@ -25,8 +24,6 @@ CLASSES_SIDE = 2
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
-_MOST = 0.5  # mean share of the Gaussians that a cell sees from which all cells share classes
-
 
 def write_shipped(store: VisibilityStore, target: str | PathLike[str], side: int = CLASSES_SIDE) -> None:
     """Write a store with completed sets, in which the cells of a cube give a Gaussian the same weight class.
@@ -38,21 +35,16 @@ def write_shipped(store: VisibilityStore, target: str | PathLike[str], side: int
     """
     coords = store.grid.coords // _check.positive_int("side", side)
     cubes = np.unique(coords, axis=0, return_inverse=True)[1].reshape(-1)
-    typical, seen = _mean_classes(store, np.arange(len(store)))
     labels = _order.choose_labels(store.gaussians, len(store), store.visible_words, completed=True)
-    complete = Completion(labels, codec.pack(np.flatnonzero(seen), store.gaussians))
-    highest = len(store.info.class_edges) - 1
-    shares = store.visible_counts.sum() >= _MOST * len(store) * np.count_nonzero(seen)
+    ever = np.array(store.ever_visible().to_array(), np.int64)
+    complete = Completion(labels, codec.pack(ever, store.gaussians))
     known: dict[int, U8] = {}
     last = {int(cube): cell for cell, cube in enumerate(cubes)}  # the last cell of each cube
     with StoreWriter(target, store.grid, store.info) as writer:
         for cell in range(len(store)):
             cube = int(cubes[cell])
             if cube not in known:
-                own, kept = _mean_classes(store, np.flatnonzero(cubes == cube))
-                if shares:
-                    kept &= _far(own, typical, highest)
-                known[cube] = np.where(kept, own, typical)
+                known[cube] = _mean_classes(store, np.flatnonzero(cubes == cube))
             ids = codec.ids_of(complete(store.visible_words(cell)))
             writer.add_cell(_copy_cell(store, cell, ids, known[cube][ids]))
             if last[cube] == cell:
@@ -60,26 +52,19 @@ def write_shipped(store: VisibilityStore, target: str | PathLike[str], side: int
         writer.finish(store.direction_sets, groups=cubes, labels=labels)
 
 
-def _far(own: U8, typical: U8, highest: int) -> NDArray[np.bool_]:
-    """Return (N,) whether a class of a cube differs by more than one from that of all cells, or one is the highest."""
-    larger = np.maximum(own, typical)
-    smaller = np.minimum(own, typical)
-    return np.asarray((larger - smaller > 1) | ((larger == highest) & (smaller < highest)))
+def _mean_classes(store: VisibilityStore, cells: I64) -> U8:
+    """Return (N,) the mean weight class of each Gaussian over those of some cells that see it, rounded; 0 for none.
 
-
-def _mean_classes(store: VisibilityStore, cells: I64) -> tuple[U8, NDArray[np.bool_]]:
-    """Return (N,) the mean class of each Gaussian over those of some cells that see it, rounded, and if any does.
-
-    Classes are logarithms of weights, so this is the geometric mean of the weights. It is 0 where no cell sees it.
+    Classes are logarithms of weights, so this is the geometric mean of the weights in the cells that see it.
     """
     sums = np.zeros(store.gaussians, np.uint32)
-    counts = np.zeros(store.gaussians, np.uint32)
+    seen = np.zeros(store.gaussians, np.uint32)
     for cell in cells.tolist():
         ids, classes = store.classes(cell)
         sums[ids] += classes
-        counts[ids] += 1
-    mean = (2 * sums + counts) // np.maximum(2 * counts, 1)
-    return mean.astype(np.uint8), counts > 0
+        seen[ids] += 1
+    seen = np.maximum(seen, 1)
+    return ((2 * sums + seen) // (2 * seen)).astype(np.uint8)
 
 
 def _copy_cell(store: VisibilityStore, cell: int, ids: I64, classes: U8) -> CellSet:
