@@ -1,7 +1,6 @@
 """How small is a whole package, if its records are rounded as coarsely as images keep a wanted PSNR?
 
-Records and terms of packages are rounded anew, and visible sets are written again as `prepare` writes them, which
-changes no set; chunks and manifest stay. Views of the choice are those of
+Records and terms of packages are rounded anew; visible sets, chunks and manifest stay. Views of the choice are those of
 `gsvis prepare --record-psnr`; the judge's eyes are drawn by another seed with another field of view. With photographs
 (--photos, as the arena has them: every eighth is held out), they judge too.
 
@@ -16,7 +15,6 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -30,8 +28,6 @@ from gsvis.package.manifest import MANIFEST
 from gsvis.package.rounding import round_records, round_terms
 from gsvis.prepare import PrepareConfig
 from gsvis.prepare.record_limits import cameras_of_choice, search_limits
-from gsvis.pvs.joined import join_until_small
-from gsvis.pvs.store import VisibilityStore
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.navigable import NavigableSpace
@@ -63,21 +59,13 @@ def spread(images: Images, truth: Images) -> Spread:
     return Spread.from_values([min(100.0, float(psnr(a, b))) for a, b in zip(images, truth, strict=True)])
 
 
-def bytes_of_sets(store: VisibilityStore) -> int:
-    """Return the bytes of visible sets, written again."""
-    with TemporaryDirectory() as folder:
-        written = Path(folder) / "shipped.pvs"
-        join_until_small(store, written, may_join=False)
-        return written.stat().st_size
-
-
 def measure(path: Path, sog: int, options: argparse.Namespace) -> list[dict[str, Any]]:
     """Return the rows of a package: as it is, and for each wanted PSNR."""
     with Package.open(path) as package:
         contents = package.contents
         sizes = package.manifest.sizes()
         up = package.manifest.info.up
-        sets = bytes_of_sets(package.visibility)
+    sets = sizes["visibility"]
     rest = sizes["chunks"] + sets + (path / MANIFEST).stat().st_size
     levels = contents.levels()
     space = NavigableSpace.from_scene(levels.level(len(levels) - 1), up=up)
