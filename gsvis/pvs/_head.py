@@ -11,14 +11,14 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.files.limits import DAMAGED, Budget
 from gsvis.files.sections import SectionFile
 from gsvis.pvs._order import MAX_DEPTH
-from gsvis.pvs._writer import CELL_ROW, FORMAT, FORMAT_SHARED, StoreInfo, beyond_free
+from gsvis.pvs._writer import CELL_ROW, FORMAT, FORMAT_RUNS, FORMAT_SHARED, StoreInfo, beyond_free
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.codec import CodecError, decompress
 from gsvis.pvs.stored_certificates import CERTIFIED_ROW, StoredCertificates
 
-__all__ = ["read_certificates", "read_header", "read_rows", "read_run"]
+__all__ = ["read_certificates", "read_header", "read_rows", "read_runs"]
 
-_MOST_RUN = 1 << 16  # neighbors that may share a direction set
+_MOST_RUN = 1 << 16  # neighbors that may share a direction set, or a shift of their classes
 
 
 def read_header(file: SectionFile) -> tuple[StoreInfo, CellGrid]:
@@ -28,7 +28,7 @@ def read_header(file: SectionFile) -> tuple[StoreInfo, CellGrid]:
         FormatError: If the header is damaged.
     """
     header = file.header
-    if header.raw("format") not in (FORMAT, FORMAT_SHARED):
+    if header.raw("format") not in (FORMAT, FORMAT_SHARED, FORMAT_RUNS):
         raise _fault(file, "format", repr(FORMAT), repr(header.raw("format"))[:60])
     scene = header.raw("scene")
     grid = header.child("grid")
@@ -55,15 +55,21 @@ def read_header(file: SectionFile) -> tuple[StoreInfo, CellGrid]:
         raise _fault(file, "header", "a grid and classes that are valid", str(error)) from error
 
 
-def read_run(file: SectionFile) -> int:
-    """Return the number of neighbors that share a direction set; 1 in the first format.
+def read_runs(file: SectionFile) -> tuple[int, int]:
+    """Return the number of neighbors that share a direction set, and of those that share a shift of their classes.
+
+    In the first format they are 1 and 0: each Gaussian has a direction set, and a class from each cell. Classes are
+    shared in the third format alone.
 
     Raises:
         FormatError: If the header is damaged.
     """
     if file.header.raw("format") == FORMAT:
-        return 1
-    return file.header.integer("directions_run", 1, _MOST_RUN)
+        return 1, 0
+    directions = file.header.integer("directions_run", 1, _MOST_RUN)
+    if file.header.raw("format") == FORMAT_SHARED:
+        return directions, 0
+    return directions, file.header.integer("classes_run", 1, _MOST_RUN)
 
 
 def read_rows(file: SectionFile, cells: int, gaussians: int) -> NDArray[Any]:

@@ -28,12 +28,14 @@ from gsvis.pvs import _order
 from gsvis.pvs import codec as _codec
 from gsvis.pvs._kernels import store as kernels
 from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.run_classes import RunClasses
 from gsvis.pvs.stored_certificates import CERTIFIED_ROW
 
 __all__ = [
     "CELL_ROW",
     "FILE_KIND",
     "FORMAT",
+    "FORMAT_RUNS",
     "FORMAT_SHARED",
     "CellSet",
     "StoreInfo",
@@ -46,6 +48,9 @@ __all__ = [
 FORMAT = "gsvis visible sets"
 FORMAT_SHARED = "gsvis visible sets 2"
 """The format of stores in which neighbors share direction sets; versions before 0.4 cannot read it."""
+
+FORMAT_RUNS = "gsvis visible sets 3"
+"""The format of stores in which neighbors share what their classes differ by from cell to cell, too."""
 
 FILE_KIND = FileKind(b"\x93GSPVS\r\n", 1, "a store of visible sets", "give a file that `gsvis pvs` has written")
 MAX_CLASSES = 16
@@ -372,13 +377,16 @@ class StoreWriter:
         return levels
 
 
-def share_directions(source: str | PathLike[str], target: str | PathLike[str], run: int) -> Path:
+def share_directions(
+    source: str | PathLike[str], target: str | PathLike[str], run: int, *, classes: RunClasses | None = None
+) -> Path:
     """Copy a store, with one direction set for each run of Gaussians: the union of theirs.
 
     Args:
         source: A store with a direction set for each Gaussian.
         target: The file to write, another one.
         run: Gaussians in a run, at least 1; the last run may be shorter.
+        classes: Classes to write in place of those of the store; None keeps them.
 
     Returns:
         The path of the file.
@@ -391,22 +399,39 @@ def share_directions(source: str | PathLike[str], target: str | PathLike[str], r
     path = _check.path("target", target)
     read = SectionFile(source, FILE_KIND)
     try:
-        header = read.header.value
+        kept = {key: value for key, value in read.header.value.items() if key != "sections"}
         n = read.header.integer("gaussians", 0, (1 << 31) - 1)
+        facts = {"format": FORMAT_SHARED, "directions_run": run}
+        rows = np.frombuffer(read.read("cells"), CELL_ROW).copy()
         with atomic_path(path) as partial, partial.open("wb") as file:
             container = SectionWriter(file, FILE_KIND)
-            for name in read.sections:
-                if name == "room":
-                    continue
+            if classes is not None:
+                facts |= {"format": FORMAT_RUNS, "classes_run": classes.run}
+                _append_run_classes(container, classes, rows)
+            written = {"room", "cells"} if classes is None else {"room", "cells", "classes"}
+            for name in (name for name in read.sections if name not in written):
                 data = read.read(name)
                 container.append(_in_runs(data, n, run) if name == "directions" else data)
                 container.close_section(name)
+            container.append(rows.tobytes())
+            container.close_section("cells")
             _make_room(container, n)
-            kept = {key: value for key, value in header.items() if key != "sections"}
-            container.finish({**kept, "format": FORMAT_SHARED, "directions_run": run})
+            container.finish({**kept, **facts})
     finally:
         read.close()
     return path
+
+
+def _append_run_classes(container: SectionWriter, classes: RunClasses, rows: NDArray[np.void]) -> None:
+    """Append the sections of classes, and set in the rows of cells (C,) where they are. No cell has a parent then."""
+    rows["parent"] = -1
+    for cell in range(len(rows)):
+        place = container.append(classes.encode_shifts(cell))
+        for name, value in zip(("class_offset", "class_length", "class_crc"), place, strict=True):
+            rows[name][cell] = value
+    container.close_section("classes")
+    container.append(classes.encode_common())
+    container.close_section("common")
 
 
 def _in_runs(data: bytes, n: int, run: int) -> bytes:

@@ -23,7 +23,7 @@ from gsvis.files.temporary import temporary_folder
 from gsvis.progress import Progress, silent
 from gsvis.pvs._writer import share_directions
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.shipped import CLASSES_SIDE, write_shipped
+from gsvis.pvs.shipped import CLASSES_RUN, CLASSES_SIDE, split_classes, write_shipped
 from gsvis.pvs.store import CellSet, StoreInfo, StoreWriter, VisibilityStore
 
 __all__ = [
@@ -88,7 +88,12 @@ class JoinedCells:
 
 
 def join_until_small(
-    store: VisibilityStore, target: str | PathLike[str], *, may_join: bool = True, progress: Progress = silent
+    store: VisibilityStore,
+    target: str | PathLike[str],
+    *,
+    may_join: bool = True,
+    in_runs: bool = False,
+    progress: Progress = silent,
 ) -> tuple[JoinedCells, ...]:
     """Write the store of a package: cells joined if that is asked for, sets completed, classes and directions shared.
 
@@ -96,6 +101,8 @@ def join_until_small(
         store: Sets as they were built.
         target: The file to write.
         may_join: Whether cells may be joined until the sets are small.
+        in_runs: Whether runs of neighbors share how their classes change from cell to cell, as around an object; else
+            cubes of cells share classes.
         progress: Called with stage "join".
 
     Returns:
@@ -123,9 +130,10 @@ def join_until_small(
         small = folder / "small.pvs"
         with VisibilityStore.open(written) as joined:
             write_shipped(joined, small, max(1, CLASSES_SIDE // tried[-1].factor))
-        with VisibilityStore.open(small) as found:
-            tried[-1] = replace(tried[-1], nbytes=_bytes_of(found), walk=_walk(found, walks, of))
-        share_directions(small, path, DIRECTIONS_RUN)
+            classes = split_classes(joined, CLASSES_RUN) if in_runs else None
+        share_directions(small, path, DIRECTIONS_RUN, classes=classes)
+    with VisibilityStore.open(path) as found:
+        tried[-1] = replace(tried[-1], nbytes=_bytes_of(found), walk=_walk(found, walks, of))
     progress("join", 1, 1)
     return tuple(tried)
 

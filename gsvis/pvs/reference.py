@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from fractions import Fraction
+from math import floor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,7 @@ from gsvis.pvs.bound import STAKES
 from gsvis.raycast.reference import brute_force_contributions
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["marked_reference", "missed_light_reference", "upper_bound_reference"]
+__all__ = ["marked_reference", "missed_light_reference", "split_classes_reference", "upper_bound_reference"]
 
 
 def upper_bound_reference(part: Sequence[float], whole: Sequence[float], error: float, steps: int = 100_000) -> float:
@@ -84,3 +86,33 @@ def marked_reference(
                 spans.append((edges[1:] > tangents.min()) & (edges[:-1] <= tangents.max()))
             marked[face] |= spans[1][:, None] & spans[0][None, :]
     return marked
+
+
+def split_classes_reference(
+    cells: Sequence[dict[int, int]], n: int, run: int, classes: int, rounds: int = 2
+) -> tuple[list[int], list[list[int]]]:
+    """Return the class of each of N Gaussians, and for each cell the shift of each run of them.
+
+    Args:
+        cells: For each cell the class of each Gaussian that it sees.
+        n: N.
+        run: Gaussians in a run.
+        classes: K, number of classes.
+        rounds: How often classes and shifts are found.
+    """
+    shifts = [[0] * -(-n // run) for _ in cells]
+    common = [0] * n
+    for _ in range(rounds):
+        for g in range(n):
+            without = [seen[g] - shifts[cell][g // run] for cell, seen in enumerate(cells) if g in seen]
+            common[g] = min(max(_rounded_mean(without), 0), classes - 1)
+        for cell, seen in enumerate(cells):
+            for r in range(len(shifts[cell])):
+                beyond = [seen[g] - common[g] for g in seen if g // run == r]
+                shifts[cell][r] = _rounded_mean(beyond)
+    return common, shifts
+
+
+def _rounded_mean(values: Sequence[int]) -> int:
+    """Return the mean of whole numbers, rounded, halves up; 0 without any."""
+    return floor(Fraction(sum(values), len(values)) + Fraction(1, 2)) if values else 0

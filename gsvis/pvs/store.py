@@ -27,7 +27,7 @@ from gsvis.files.limits import DAMAGED, open_regular
 from gsvis.files.sections import SectionFile
 from gsvis.progress import Progress, silent
 from gsvis.pvs import _head as head
-from gsvis.pvs import _order
+from gsvis.pvs import _order, run_classes
 from gsvis.pvs import codec as _codec
 from gsvis.pvs._kernels import store as kernels
 from gsvis.pvs._writer import FILE_KIND, CellSet, StoreInfo, StoreWriter, write_store
@@ -52,6 +52,8 @@ class VisibilityStore:
         info: Number of Gaussians, scene, tau, classes, and how the store was built.
         certificates: How each set was found and certified, and what it misses.
         directions_run: Neighbors that share a direction set; 1 as built, 16 in a package.
+        classes_run: Neighbors whose classes differ in the same way from cell to cell; 0 where each Gaussian has a class
+            of its own in each cell, as built.
         cache: Cache of decoded cells; assign another `Cache` to share it.
     """
 
@@ -77,7 +79,7 @@ class VisibilityStore:
         self._file = SectionFile(path, FILE_KIND, joined)
         try:
             self.info, self.grid = head.read_header(self._file)
-            self.directions_run = head.read_run(self._file)
+            self.directions_run, self.classes_run = head.read_runs(self._file)
             self._rows = head.read_rows(self._file, len(self.grid), self.gaussians)
             if order is not None and len(order) != self.gaussians:
                 raise ValueError(f"order: expected {self.gaussians:,} Gaussians, got {len(order):,}")
@@ -338,8 +340,9 @@ class VisibilityStore:
         """
         found: dict[str, float] = {name: section.length for name, section in self._file.sections.items()}
         pairs = max(1, int(self.visible_counts.sum()))
-        sets = self._file.size - found["classes"] - found["directions"]
-        bits = {"bits_per_pair": 8.0 * sets / pairs, "class_bits_per_pair": 8.0 * found["classes"] / pairs}
+        classes = found["classes"] + found.get("common", 0)
+        sets = self._file.size - classes - found["directions"]
+        bits = {"bits_per_pair": 8.0 * sets / pairs, "class_bits_per_pair": 8.0 * classes / pairs}
         return {**found, "file": self._file.size, **bits}
 
     def verify(self, *, progress: Progress = silent) -> None:
@@ -485,17 +488,34 @@ class VisibilityStore:
         """Return (N,) uint8, stored order: class plus 1 where a cell sees a Gaussian, else 0; do not change it."""
         held: U8 | None = self.cache.find(("classes", cell))
         if held is None:
-            row = self._rows[cell]
-            above = self._levels(int(row["parent"])) if row["parent"] >= 0 else None
-            place = int(row["class_offset"]), int(row["class_length"]), int(row["class_crc"])
-            data = self._file.read_part("classes", *place, f"classes of cell {cell}")
-            shape = self.gaussians, above, len(self.info.class_edges)
-            try:
-                held = _codec.decode_classes(data, self._words(cell), *shape)
-            except _codec.CodecError as error:
-                raise self._undecodable(f"classes of cell {cell}", error) from error
+            held = self._decode_levels(cell)
             self.cache.keep(("classes", cell), held)
         return held
+
+    def _decode_levels(self, cell: int) -> U8:
+        """Return the `_levels` of a cell from the file."""
+        row = self._rows[cell]
+        above = self._levels(int(row["parent"])) if row["parent"] >= 0 else None
+        place = int(row["class_offset"]), int(row["class_length"]), int(row["class_crc"])
+        data = self._file.read_part("classes", *place, f"classes of cell {cell}")
+        words = self._words(cell)
+        count = len(self.info.class_edges)
+        try:
+            if self.classes_run == 0:
+                return _codec.decode_classes(data, words, self.gaussians, above, count)
+            shifts = run_classes.decode_shifts(data, self.gaussians, self.classes_run, count)
+        except _codec.CodecError as error:
+            raise self._undecodable(f"classes of cell {cell}", error) from error
+        return run_classes.run_levels(words, self.order, (self._common, shifts), self.classes_run, count)
+
+    @cached_property
+    def _common(self) -> U8:
+        """(N,) uint8, scene order: the class of each Gaussian, to which a cell adds the shift of its run."""
+        data = self._file.read("common")
+        try:
+            return run_classes.decode_common(data, self.gaussians, len(self.info.class_edges))
+        except _codec.CodecError as error:
+            raise self._undecodable("section 'common'", error) from error
 
     def _check_class(self, name: str, level: int) -> int:
         """Return a checked weight class."""

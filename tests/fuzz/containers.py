@@ -231,7 +231,7 @@ def change_container(rng: Random, data: bytes) -> bytes:
         header = change_json(rng, header)
     elif way == 3 and rng.random() < 0.3:
         sections[rng.choice((name + "x", "cells"))] = sections.pop(name)
-    elif name in ("coords", "ever"):
+    elif name in ("coords", "ever", "common"):
         sections[name] = change_zstd(rng, sections[name])
     elif name in ("directions", "labels") and sections[name]:
         sections[name] = (

@@ -26,6 +26,7 @@ from gsvis.pvs._journal import (
     read_view,
 )
 from gsvis.pvs.cell_view import CellView, Figures
+from gsvis.pvs.joined import join_until_small
 from gsvis.pvs.sightings import Sighting
 from gsvis.pvs.store import CellSet, VisibilityStore, write_store
 from gsvis.scene.levels import Levels
@@ -112,6 +113,17 @@ def sparse_store() -> bytes:
         sets = [CellSet(ids := np.arange(N // 2 * (k % 3 > 0)), (ids % 2).astype(np.uint8), 4) for k in range(CELLS)]
         write_store(path, grid, info, sets, np.zeros((N, 10), np.uint8))
         return path.read_bytes()
+
+
+@cache
+def shared_store() -> bytes:
+    """The visible sets as in a package seen from around: neighbors share direction sets and changes of classes."""
+    with TemporaryDirectory() as folder:
+        own, shared = (Path(folder) / name for name in ("a.pvs", "b.pvs"))
+        own.write_bytes(both_stores()[0])
+        with VisibilityStore.open(own) as store:
+            join_until_small(store, shared, may_join=False, in_runs=True)
+        return shared.read_bytes()
 
 
 def in_visibility(folder: Path, case: Case) -> None:
@@ -253,10 +265,10 @@ TARGETS = [
     ),
     Target(
         "visibility",
-        lambda: [{"a.pvs": data} for data in (both_stores()[0], sparse_store())],
+        lambda: [{"a.pvs": data} for data in (both_stores()[0], sparse_store(), shared_store())],
         in_visibility,
         kinds={"a.pvs": "pvs"},
-        modules=(PVS + "store", PVS + "stored_certificates", FILES + "sections", PVS + "codec"),
+        modules=(PVS + "store", PVS + "stored_certificates", PVS + "run_classes", FILES + "sections", PVS + "codec"),
         weight=1.5,
     ),
     Target(

@@ -19,6 +19,8 @@ from gsvis.pvs.joined import (
     measure_sets,
     walks_through,
 )
+from gsvis.pvs.reference import split_classes_reference
+from gsvis.pvs.shipped import CLASSES_RUN, split_classes
 from gsvis.pvs.store import VisibilityStore
 
 GAUSSIANS = 1_000
@@ -74,6 +76,51 @@ def test_neighbors_share_the_union_of_their_directions(tmp_path: Path, run: int)
                 assert np.array_equal(shared.visible_ids(cell), own.visible_ids(cell))
 
 
+@pytest.mark.parametrize("run", [1, 7, 64, 2_000])
+def test_classes_are_those_of_gaussians_and_shifts_of_runs(tmp_path: Path, run: int) -> None:
+    with noise_store(tmp_path / "own.pvs", 3) as own:
+        cells = [dict(zip(*(part.tolist() for part in own.classes(cell)), strict=True)) for cell in range(len(own))]
+        common, shifts = split_classes_reference(cells, GAUSSIANS, run, len(EDGES))
+        found = split_classes(own, run)
+        assert found.common.tolist() == common
+        assert found.shifts.tolist() == shifts
+        share_directions(own.path, tmp_path / "shared.pvs", 16, classes=found)
+        with VisibilityStore.open(tmp_path / "shared.pvs") as shared:
+            shared.verify()
+            assert (shared.classes_run, shared.directions_run) == (run, 16)
+            assert np.array_equal(shared.certificates.bound, own.certificates.bound)
+            assert np.array_equal(shared.viewpoints, own.viewpoints)
+            for cell in range(len(own)):
+                ids, classes = shared.classes(cell)
+                assert ids.tolist() == sorted(cells[cell])
+                wanted = [min(max(common[i] + shifts[cell][i // run], 0), len(EDGES) - 1) for i in ids.tolist()]
+                assert classes.tolist() == wanted
+
+
+def test_runs_of_one_gaussian_keep_all_classes(tmp_path: Path) -> None:
+    with noise_store(tmp_path / "own.pvs", 3) as own:
+        share_directions(own.path, tmp_path / "shared.pvs", 16, classes=split_classes(own, 1))
+        with VisibilityStore.open(tmp_path / "shared.pvs") as shared:
+            for cell in range(len(own)):
+                assert np.array_equal(shared.classes(cell)[1], own.classes(cell)[1])
+
+
+def test_runs_that_a_cell_sees_one_class_lower_keep_all_classes(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    base = rng.integers(1, 3, GAUSSIANS)
+    lower = rng.integers(0, 2, (3, -(-GAUSSIANS // 64)))
+    lower[0], lower[1] = 0, 0  # so that the mean over the cells is the class in two of them
+    grid = CellGrid(np.zeros(3), 0.5, (3, 1, 1), np.array([[k, 0, 0] for k in range(3)], np.int32), np.eye(3)[2])
+    ids = np.arange(GAUSSIANS)
+    cells = [CellSet(ids, (base - lower[cell][ids // 64]).astype(np.uint8)) for cell in range(3)]
+    info = StoreInfo(GAUSSIANS, "made", 1 / 255, EDGES)
+    write_store(tmp_path / "own.pvs", grid, info, cells, np.zeros((GAUSSIANS, 10), np.uint8))
+    with VisibilityStore.open(tmp_path / "own.pvs") as own:
+        found = split_classes(own, 64)
+    assert np.array_equal(found.common, base)
+    assert np.array_equal(found.shifts, -lower)
+
+
 def test_cells_are_joined_until_sets_are_a_fifth_and_no_longer(tmp_path: Path) -> None:
     most = MOST_SHARE * RECORD_BYTES * GAUSSIANS
     with noise_store(tmp_path / "fine.pvs") as fine:
@@ -82,7 +129,7 @@ def test_cells_are_joined_until_sets_are_a_fifth_and_no_longer(tmp_path: Path) -
         assert [each.factor for each in tried] == [1, 2, 3, 4][: len(tried)]
         with VisibilityStore.open(tmp_path / "small.pvs") as small:
             assert len(small) == tried[-1].cells < len(fine)
-            assert small.directions_run == DIRECTIONS_RUN
+            assert (small.directions_run, small.classes_run) == (DIRECTIONS_RUN, 0)
             assert small.ever_visible() == fine.ever_visible()
         assert [path.name for path in tmp_path.iterdir() if "partial" in path.name] == []
 
@@ -95,10 +142,23 @@ def test_cells_that_somebody_chose_stay(tmp_path: Path) -> None:
             assert np.array_equal(kept.grid.coords, fine.grid.coords)
 
 
-def test_the_same_store_gives_the_same_bytes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("may_join", [True, False])
+def test_classes_are_in_runs_if_that_is_asked_for(tmp_path: Path, may_join: bool) -> None:
     with noise_store(tmp_path / "fine.pvs") as fine:
-        first = join_until_small(fine, tmp_path / "a.pvs")
-        assert join_until_small(fine, tmp_path / "b.pvs") == first
+        tried = join_until_small(fine, tmp_path / "small.pvs", may_join=may_join, in_runs=True)
+        with VisibilityStore.open(tmp_path / "small.pvs") as small:
+            small.verify()
+            assert small.classes_run == CLASSES_RUN
+            assert len(small) == tried[-1].cells
+            sizes = small.sizes()
+            assert tried[-1].nbytes == sizes["file"] - sizes["directions"]
+
+
+@pytest.mark.parametrize("in_runs", [True, False])
+def test_the_same_store_gives_the_same_bytes(tmp_path: Path, in_runs: bool) -> None:
+    with noise_store(tmp_path / "fine.pvs") as fine:
+        first = join_until_small(fine, tmp_path / "a.pvs", in_runs=in_runs)
+        assert join_until_small(fine, tmp_path / "b.pvs", in_runs=in_runs) == first
     assert (tmp_path / "a.pvs").read_bytes() == (tmp_path / "b.pvs").read_bytes()
 
 
@@ -123,11 +183,22 @@ def test_walks_go_from_neighbor_to_neighbor() -> None:
     assert set(walks_through(grid)) == {(0, 1), (2,)}
 
 
-def test_a_damaged_run_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["directions_run", "classes_run"])
+def test_a_damaged_run_is_refused(tmp_path: Path, name: str) -> None:
     with noise_store(tmp_path / "own.pvs") as own:
-        share_directions(own.path, tmp_path / "shared.pvs", 16)
+        share_directions(own.path, tmp_path / "shared.pvs", 16, classes=split_classes(own, 16))
     data = (tmp_path / "shared.pvs").read_bytes()
-    at = data.rindex(b'"directions_run":16')
-    (tmp_path / "bad.pvs").write_bytes(data[:at] + b'"directions_run":99' + data[at + 19 :])
+    at = data.rindex(f'"{name}":16'.encode()) + len(name) + 3
+    (tmp_path / "bad.pvs").write_bytes(data[:at] + b"99" + data[at + 2 :])
     with pytest.raises(FormatError):
         VisibilityStore.open(tmp_path / "bad.pvs").verify()
+
+
+@pytest.mark.parametrize("part", ["common", "shifts"])
+def test_classes_out_of_range_are_refused(tmp_path: Path, part: str) -> None:
+    with noise_store(tmp_path / "own.pvs") as own:
+        good = split_classes(own, 64)
+        too_high = {"common": good.common + np.uint8(3), "shifts": good.shifts + np.int8(3)}[part]
+        share_directions(own.path, tmp_path / "bad.pvs", 16, classes=replace(good, **{part: too_high}))
+    with VisibilityStore.open(tmp_path / "bad.pvs") as bad, pytest.raises(FormatError, match="expected"):
+        bad.verify()

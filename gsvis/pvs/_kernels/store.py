@@ -112,6 +112,19 @@ def scatter_levels(words, order, levels, out):
 
 
 @kernel
+def shift_levels(words, order, common, shifts, run, classes, out):
+    """Write 1 + the class at the positions of a set: that of the Gaussian order[i] plus the shift of its run."""
+    for w in range(len(words)):
+        word = words[w]
+        while word:
+            i = 64 * w + np.int64(lowest(word))
+            g = np.int64(order[i])
+            shifted = np.int64(common[g]) + np.int64(shifts[g // run])
+            out[i] = 1 + min(max(shifted, 0), classes - 1)
+            word &= word - np.uint64(1)
+
+
+@kernel
 def take_levels(words, levels, ids, out):
     """Write the positions of the set bits, ascending, and their levels less 1; with room for exactly these."""
     filled = 0
