@@ -28,7 +28,7 @@ from gsvis.prepare.stage_colors import count_color_steps, name_colors, round_col
 from gsvis.prepare.stage_levels import name_levels, reuse_levels
 from gsvis.prepare.stage_quality import name_cost, name_fidelity
 from gsvis.prepare.stage_records import learns_rounded, name_epsilon, run_epsilon
-from gsvis.prepare.stage_sets import find_shipped_sets, name_sets
+from gsvis.prepare.stage_sets import find_shipped_sets, name_sets, shares_in_runs
 from gsvis.prepare.stages import Stages
 from gsvis.prepare.trial import StageTrial
 from gsvis.progress import Progress, silent
@@ -49,6 +49,7 @@ _clock = time.perf_counter  # tests set another
 _CODED = 1 << 15  # Gaussians that are coded for the size of records
 _PACKED_TERM = 0.78  # size of coded terms over their raw size
 _SHIPPED_SETS = 0.5  # of the bytes of sets but directions, completed with shared classes: 0.3 to 0.7 in eight scenes
+_OBJECT_SETS = 0.25  # the same, when runs of Gaussians share how classes change: 0.23 to 0.27 in five objects
 _SHARED_DIRECTIONS = 0.25  # bytes a Gaussian of direction sets that neighbors share: 0.1 to 0.3 in six scenes
 _FILES = 10_000  # bytes of a package besides records, terms and sets
 _ROUNDING = 20.0  # time of choosing how to round records over that of the views that measure the cost of rounding
@@ -238,7 +239,8 @@ class _Estimator:
             disk: Its bytes.
         """
         own = DIRECTIONS_BYTES * self.union if store is None else bytes_of_directions(store.direction_sets)
-        shared = _SHIPPED_SETS * (disk - own) + _SHARED_DIRECTIONS * self.union
+        rest = _OBJECT_SETS if shares_in_runs(self.stages) else _SHIPPED_SETS
+        shared = rest * (disk - own) + _SHARED_DIRECTIONS * self.union
         most = MOST_SHARE * RECORD_BYTES * self.union  # see `join_until_small`
         return min(shared, most) if self.config.join_cells else shared
 

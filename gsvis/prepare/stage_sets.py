@@ -18,7 +18,7 @@ from gsvis.pvs.joined import JoinedCells, join_until_small
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.levels import Levels
 
-__all__ = ["around_of", "find_shipped_sets", "name_sets", "run_sets", "ship_sets"]
+__all__ = ["around_of", "find_shipped_sets", "name_sets", "run_sets", "shares_in_runs", "ship_sets"]
 
 
 def name_sets(stages: Stages, levels: Levels, grid: CellGrid) -> str:
@@ -85,7 +85,9 @@ def ship_sets(stages: Stages, store: VisibilityStore) -> Path:
         return path
     record = stages.work.at(path.with_suffix(".json").name)
     if not stages.work.whole(path.name) or not stages.work.whole(record.name):
-        tried = join_until_small(store, path, may_join=stages.config.join_cells, progress=stages.progress)
+        tried = join_until_small(
+            store, path, may_join=stages.config.join_cells, in_runs=shares_in_runs(stages), progress=stages.progress
+        )
         stages.work.seal_file(path.name)
         stages.keep(record.name, [asdict(each) for each in tried])
     stages.joined = tuple(JoinedCells(**each) for each in json.loads(read_whole(record)))
@@ -96,8 +98,14 @@ def find_shipped_sets(stages: Stages, sets: Path) -> Path:
     """Return the path of the store that the package gets, from that of the visible sets."""
     if stages.around is not None or stages.one_level:
         return sets
-    key = stages.key("joined", sets=digest_of_folder(sets).split()[0], join=stages.config.join_cells)
+    join = stages.config.join_cells
+    key = stages.key("joined", sets=digest_of_folder(sets).split()[0], join=join, in_runs=shares_in_runs(stages))
     return stages.work.at(f"joined-{key}.pvs")
+
+
+def shares_in_runs(stages: Stages) -> bool:
+    """Return whether runs of Gaussians share how their classes change: around an object (docs/design/162)."""
+    return stages.space.kind.kind == "object"
 
 
 def around_of(sets: str) -> str:

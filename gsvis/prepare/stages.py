@@ -45,7 +45,7 @@ _Thing = TypeVar("_Thing")
 VERSIONS = {
     "levels": 12,
     "sets": 7,
-    "joined": 5,
+    "joined": 6,
     "colors": 10,
     "epsilon": 1,
     "rounding": 2,
