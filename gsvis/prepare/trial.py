@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gsvis.color import quantize
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.fit import SrbfFit, fit_srbf, fitted_for_price
+from gsvis.jobs.in_order import in_order
 from gsvis.package import Contents, ExactLevel, PackageOrder, measure_cost, measure_fidelity
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.importance import direction_weights, importance_from_views
@@ -38,8 +39,9 @@ from gsvis.train.pairs import merge_pairs
 
 __all__ = ["StageTrial"]
 
-_VIEWS = 3  # views, looks and steps that are timed
-_FITTED = 1024  # Gaussians whose colors are fitted
+_VIEWS = 3  # views and steps that are timed
+_BESIDE = 4  # views and looks that are timed side by side
+_FITTED = 2048  # Gaussians whose colors are fitted; fewer keep threads busy only in part
 _FEW = 8  # Gaussians that load the kernels of colors
 _FITTED_IN = 2  # views in which opacities are fitted
 _MERGED = 1 << 15  # most Gaussians that are merged
@@ -161,7 +163,12 @@ class StageTrial:
             some = np.arange(len(self._scene)) if sight is None else np.flatnonzero(sight.of(camera))
             removal_effects(self._scene[some], camera, presence=presence[some])
 
-        return looks * self._each(look, self._cameras(replace(views_to_choose(views), count=_VIEWS + 1)))
+        def look_from(cameras: Cameras) -> None:
+            """Look from cameras side by side."""
+            for _ in in_order(look, (cameras[c] for c in range(len(cameras)))):
+                pass
+
+        return looks * self._each(look_from, self._cameras(replace(views_to_choose(views), count=_BESIDE + 2)))
 
     def _steps(
         self, levels: LevelsConfig, total: int, merged: Gaussians, stays: Gaussians, tried: PosedImages
@@ -172,11 +179,9 @@ class StageTrial:
 
         trainer = Trainer(tried, merged, levels.training(total, stays.sh_degree), frozen=stays, space=self._space)
         trainer.advance()
-        start = self._clock()
-        for _ in range(_VIEWS):
-            trainer.advance()
-        each = (self._clock() - start) / _VIEWS
-        return start - began + each * (levels.iterations - 1)
+        first = self._clock() - began
+        each = np.median([self._seconds(trainer.advance) for _ in range(_VIEWS)])
+        return first + float(each) * (levels.iterations - 1)
 
     def colors(self, count: int) -> float:
         """Return the seconds to find and fit the colors of `count` Gaussians."""
@@ -184,8 +189,8 @@ class StageTrial:
         views = self._config.colors.views
         seconds = self._fitted[1] * (count + fitted_for_price(count, fit))
         if self._scene.sh_degree and views.count:
-            cameras = self._cameras(replace(views, count=2))
-            seconds += views.count * self._each(lambda camera: importance_from_views(self._levels, camera), cameras)
+            cameras = self._cameras(replace(views, count=_BESIDE + 2))
+            seconds += views.count * self._each(partial(importance_from_views, self._levels), cameras)
         return seconds
 
     def learning(self, steps: int, *, photos: bool) -> float:
@@ -203,12 +208,17 @@ class StageTrial:
         config = LearnConfig() if photos else LearnConfig.for_renders()
         colors = self._fitted[0].colors
         many = colors[np.arange(len(self._scene)) % len(colors)]
-        learn = partial(learn_colors, self._scene, many, tried, backend=self._config.colors.backend)
-        learn(replace(config, steps=1))
-        start = self._clock()
-        learn(replace(config, steps=_VIEWS))
-        each = (self._clock() - start) / _VIEWS
-        return start - began + each * steps
+        ends = [began]
+
+        def note(stage: str, done: int, of: int) -> None:
+            """Note when a step ends."""
+            if done:
+                ends.append(self._clock())
+
+        config = replace(config, steps=_VIEWS + 1)
+        learn_colors(self._scene, many, tried, config, backend=self._config.colors.backend, progress=note)
+        first, *others = np.diff(ends).tolist()
+        return float(first + np.median(others) * (steps - 1))
 
     @cached_property
     def _fitted(self) -> tuple[SrbfFit, float]:
@@ -263,9 +273,9 @@ class StageTrial:
         return cameras
 
     def _each(self, work: Callable[[Cameras], object], cameras: Cameras) -> float:
-        """Return the mean seconds of work with a camera; the first loads the kernels."""
-        work(cameras[0])
-        return float(np.mean([self._seconds(partial(work, cameras[c])) for c in range(1, len(cameras))]))
+        """Return the seconds of work with a camera beside others; the first two load kernels, and memory of threads."""
+        work(cameras[:2])
+        return self._seconds(partial(work, cameras[2:])) / (len(cameras) - 2)
 
     def _seconds(self, work: Callable[[], object]) -> float:
         """Return how long some work takes."""
